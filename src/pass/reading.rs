@@ -15,6 +15,9 @@ use crate::survey::open::OpenScene;
 use crate::survey::{Severity, Survey, ViewLook};
 use crate::view::ViewRecord;
 use rayon::prelude::*;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::ops::Range;
 
 /// Views that are read before the processes exchange them: only these are in memory several times. More with more than so many processes.
 const AT_A_TIME: usize = 32;
@@ -92,35 +95,58 @@ fn read_shares(
     if said.iter().any(|other| *other != said[0]) {
         return Err(other_data("numbers of views"));
     }
+    let accept = |view: usize, (mut loaded, look): ReadView| {
+        let planned = &views[view];
+        if loaded.record.name != planned.name() {
+            return Err(other_data(planned.name()));
+        }
+        loaded.share_tables(planned);
+        arrived();
+        Ok((loaded, look))
+    };
     let mut all = Vec::with_capacity(views.len());
-    for views in views.chunks(AT_A_TIME.max(ranks.size())) {
-        let own = ranks.share(views.len(), 1);
-        let own_views = read_all(&views[own.clone()], |view| {
-            let read = read(view)?;
-            Ok((to_bytes(&read)?, read))
-        })?;
-        let (bytes, own_views): (Vec<Vec<u8>>, Vec<ReadView>) = own_views.into_iter().unzip();
-        let lists = ranks.join_lists(&bytes, views.len())?;
-        // All know by now whether one of them is asked to stop.
-        check_interrupted()?;
-        let received = |(planned, bytes): (&PlannedView, &Vec<u8>)| {
-            let read: Option<ReadView> = from_bytes(bytes).ok();
-            let same = read.filter(|(loaded, _)| loaded.record.name == planned.name());
-            let mut read = same.ok_or_else(|| other_data(planned.name()))?;
-            read.0.share_tables(planned);
-            arrived();
-            Ok(read)
-        };
-        let of = |range: std::ops::Range<usize>| -> Result<Vec<ReadView>> {
-            let read: Vec<Result<ReadView>> =
-                views[range.clone()].par_iter().zip(&lists[range]).map(received).collect();
-            read.into_iter().collect()
-        };
-        all.extend(of(0..own.start)?);
-        all.extend(own_views);
-        all.extend(of(own.end..views.len())?);
+    for start in (0..views.len()).step_by(AT_A_TIME.max(ranks.size())) {
+        let end = views.len().min(start + AT_A_TIME.max(ranks.size()));
+        all.extend(exchange(start..end, ranks, |view| read(&views[view]), accept)?);
     }
     Ok(all)
+}
+
+/// What `read` makes of each of some items: a share of them is read here, and what others have read goes through `accept`.
+///
+/// What one process cannot read, all try to: each ends with the error of the first such item, and the first process is the one to tell it.
+fn exchange<T: Serialize + DeserializeOwned + Send>(
+    items: Range<usize>,
+    ranks: &Ranks,
+    read: impl Fn(usize) -> Result<T> + Sync + Send,
+    accept: impl Fn(usize, T) -> Result<T> + Sync + Send,
+) -> Result<Vec<T>> {
+    let share = ranks.share(items.len(), 1);
+    let own = items.start + share.start..items.start + share.end;
+    let packed = |item: usize| {
+        let value = read(item)?;
+        Ok((to_bytes(&value)?, value))
+    };
+    let results: Vec<Result<(Vec<u8>, T)>> = own.clone().into_par_iter().map(packed).collect();
+    let (bytes, values): (Vec<Vec<u8>>, Vec<Option<T>>) = results
+        .into_iter()
+        .map(|result| result.map_or_else(|_| (Vec::new(), None), |(bytes, value)| (bytes, Some(value))))
+        .unzip();
+    let lists = ranks.join_lists(&bytes, items.len())?;
+    drop(bytes);
+    // All know by now whether one of them is asked to stop.
+    check_interrupted()?;
+    if let Some(failed) = lists.iter().position(Vec::is_empty) {
+        return read(items.start + failed)
+            .and(Err(other_data("one of them cannot read a file that another can")));
+    }
+    let received = |item: usize| match from_bytes(&lists[item - items.start]) {
+        Ok(value) => accept(item, value),
+        Err(_) => Err(other_data("what was sent")),
+    };
+    let of = |items: Range<usize>| items.into_par_iter().map(received).collect::<Vec<Result<T>>>();
+    let (before, after) = (of(items.start..own.start), of(own.end..items.end));
+    before.into_iter().chain(values.into_iter().flatten().map(Ok)).chain(after).collect()
 }
 
 /// What was received is of another data set.
@@ -128,4 +154,58 @@ fn other_data(what: &str) -> Error {
     let problem =
         format!("the processes have different data sets, or programs of different versions ({what})");
     Error::run("sending photographs between processes", problem)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ranks::threads::ThreadRank;
+    use std::sync::Arc;
+
+    /// What each of three processes gets of items, three or four at a time; the first of those that are not there is an error, and `sent` is what one sends.
+    fn by_three(count: usize, missing: &[usize], accepted: usize) -> Vec<Result<Vec<String>>> {
+        let read_by = |rank: ThreadRank| {
+            let ranks = Ranks::new(Arc::new(rank));
+            let read = |item: usize| {
+                let text = format!("item {item}");
+                if missing.contains(&item) { Err(Error::run(text, "is not there")) } else { Ok(text) }
+            };
+            let accept = |item: usize, text: String| {
+                if item < accepted { Ok(text) } else { Err(other_data(&text)) }
+            };
+            let mut all = Vec::new();
+            for start in (0..count).step_by(4) {
+                all.extend(exchange(start..count.min(start + 4), &ranks, read, accept)?);
+            }
+            Ok(all)
+        };
+        std::thread::scope(|scope| {
+            let threads: Vec<_> =
+                ThreadRank::group(3).into_iter().map(|rank| scope.spawn(move || read_by(rank))).collect();
+            threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+        })
+    }
+
+    #[test]
+    fn all_have_all_items_in_order_after_several_exchanges() {
+        let expected: Vec<String> = (0..10).map(|item| format!("item {item}")).collect();
+        for all in by_three(10, &[], 10) {
+            assert_eq!(all.unwrap(), expected);
+        }
+    }
+
+    #[test]
+    fn all_end_with_the_error_of_the_first_item_that_one_cannot_read() {
+        for all in by_three(10, &[6, 5, 9], 10) {
+            assert_eq!(all.unwrap_err().to_string(), "item 5: is not there");
+        }
+    }
+
+    #[test]
+    fn an_item_of_other_data_is_told_by_those_that_receive_it() {
+        let all = by_three(4, &[], 3);
+        let told =
+            all.iter().filter(|all| all.as_ref().is_err_and(|error| error.to_string().contains("item 3")));
+        assert_eq!(told.count(), 2);
+    }
 }

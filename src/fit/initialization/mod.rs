@@ -236,9 +236,10 @@ fn albedo_under(
     texels: &[Vec3],
 ) -> Result<Vec<Vec3>> {
     let _solving = stage("albedo");
+    let most = ALBEDO_PIXELS.max(PIXELS_PER_TEXEL * texels.len());
     let mut shaded = Vec::new();
     for (problem, lobes) in problems.iter_mut().zip(lights) {
-        let n = problem.observations.len().min(ALBEDO_PIXELS.max(PIXELS_PER_TEXEL * texels.len()));
+        let n = problem.observations.len().min(most);
         shaded.push((&problem.observations[..n], problem.of_white(lobes, texels, n)?));
     }
     let pixels = shaded.iter().flat_map(|(observations, white)| observations.iter().zip(white));

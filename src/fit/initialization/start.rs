@@ -1,5 +1,6 @@
 //! How a fit starts where nothing is said, found from the photographs: the frame that the light stands still in, and albedo and roughness of the
-//! specular lobe. The initialization is tried with each, without shadows, on a part of a surface of many pixels.
+//! specular lobe. The initialization is tried with each, without shadows, on a part of a surface of many pixels. A frame that is far worse than another with the
+//! first lobe is tried with no other.
 //!
 //! Albedo takes up what of the shading does not depend on the view. In the wrong frame the light on a surface point should change from view
 //! to view, or should not, where the photographs show the opposite; that is an error that no albedo takes up. So is a lobe that shines where
@@ -26,6 +27,8 @@ use serde::{Deserialize, Serialize};
 const LEAST_VIEWS: usize = 6;
 /// Largest error relative to that of the usual frame for another to be chosen.
 const BETTER: f32 = 0.9;
+/// Error with the first lobe, relative to the least of all frames, above which no other lobe is tried in a frame: what they change is less.
+const FAR: f32 = 1.4;
 /// Standard deviation of the sine of the cameras' tilt from which a turntable differs from a camera's frame.
 const TILTED: f32 = 0.03;
 
@@ -53,7 +56,7 @@ struct Trial {
     error: f32,
 }
 
-/// The frames that were tried, and the mean absolute error of radiance in each, with the lobe that suits it best.
+/// The frames that were tried, and the mean absolute error of radiance in each, with the lobe that suits it best of those tried in it.
 #[derive(Resource, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FramesTried(pub Vec<(LightFrame, f32)>);
 
@@ -116,6 +119,7 @@ fn lobes_to_try(world: &mut World, unknowns: Unknowns) -> Vec<SpecularLobe> {
     lobes
 }
 
+/// Tries each frame with the first lobe, and the other lobes in the frames that are not much worse.
 fn all_trials(
     world: &mut World,
     frames: &[LightFrame],
@@ -123,37 +127,56 @@ fn all_trials(
     unknowns: Unknowns,
     form: ClosedForm,
 ) -> Result<Vec<Trial>> {
+    let pairs = |frames: &[LightFrame], lobes: &[SpecularLobe]| -> Vec<Trial> {
+        let of_frame = |frame: &LightFrame| {
+            let frame = *frame;
+            lobes.iter().map(move |lobe| Trial { frame, lobe: *lobe, error: 0.0 }).collect::<Vec<_>>()
+        };
+        frames.iter().flat_map(of_frame).collect()
+    };
+    let (first, others) = specular.split_at(1);
+    let mut trials = pairs(frames, first);
+    run_trials(world, &mut trials, unknowns, form)?;
+    let least = trials.iter().map(|trial| trial.error).fold(f32::INFINITY, f32::min);
+    let is_near = |trial: &&Trial| trial.error <= FAR * least;
+    let near: Vec<LightFrame> = trials.iter().filter(is_near).map(|trial| trial.frame).collect();
+    let mut more = pairs(&near, others);
+    run_trials(world, &mut more, unknowns, form)?;
+    trials.extend(more);
+    Ok(trials)
+}
+
+/// Finds the errors of trials, those of a frame one after another; several processes each take a share of them.
+fn run_trials(world: &mut World, trials: &mut [Trial], unknowns: Unknowns, form: ClosedForm) -> Result<()> {
     let ranks = world.get_resource::<Ranks>().cloned();
     let (own, texels) = (lobes_of(world).1, recovered_albedo(world)?);
     let spread = unknowns.light && own.len() > MOST_TRIED;
     let lobes = if spread { LightLobe::even(MOST_TRIED) } else { own };
     // How the object lies in others is found by the frame and the light of the first.
     let first = placements_are_open(world).then_some(Placement(0));
-    let pairs = frames.iter().flat_map(|frame| specular.iter().map(move |lobe| (*frame, *lobe)));
-    let mut trials: Vec<Trial> = pairs.map(|(frame, lobe)| Trial { frame, lobe, error: 0.0 }).collect();
-    let mut try_one = |trial: &Trial| -> Result<f32> {
-        world.insert_resource(OwnLightFrame(trial.frame));
-        let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
-        let specular = trial.lobe;
+    let mut try_all = |of_frame: &mut [Trial]| {
+        let Trial { frame, lobe: specular, .. } = of_frame[0];
+        world.insert_resource(OwnLightFrame(frame));
         let known = Known { form, specular, unknowns, object: None, in_part: true, placement: first };
         with_initialization(world, known, |problem| {
-            problem.alternate(&mut lobes, &mut texels)?;
-            problem.error(&lobes, &texels)
+            for trial in of_frame {
+                let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
+                problem.specular = trial.lobe;
+                problem.alternate(&mut lobes, &mut texels)?;
+                trial.error = problem.error(&lobes, &texels)?;
+            }
+            Ok(())
         })
     };
     let share = ranks.as_ref().map_or(0..trials.len(), |ranks| ranks.share(trials.len(), 1));
-    for trial in &mut trials[share] {
-        match try_one(trial) {
-            Ok(error) => trial.error = error,
+    for of_frame in trials[share].chunk_by_mut(|a, b| a.frame == b.frame) {
+        match try_all(of_frame) {
             // All processes stop together, below.
             Err(Error::Interrupted) if ranks.is_some() => break,
-            Err(error) => return Err(error),
+            tried => tried?,
         }
     }
-    if let Some(ranks) = ranks {
-        complete_errors(&mut trials, &ranks)?;
-    }
-    Ok(trials)
+    ranks.map_or(Ok(()), |ranks| complete_errors(trials, &ranks))
 }
 
 /// Exchanges the errors of trials, of which each process has its share; an error on all if one is to stop.

@@ -187,9 +187,12 @@ fn reaches(lobes: &[FitLobe]) -> Vec<LobeCap> {
 /// A lobe in every lane: axis, −λ/2, amplitude.
 #[inline(always)]
 fn splat<S: Simd>(simd: S, lobe: &FitLobe) -> [Lanes<S>; 7] {
-    let [x, y, z] = lobe.axis;
-    let [r, g, b] = lobe.amplitude;
-    [x, y, z, -0.5 * lobe.sharpness, r, g, b].map(|value| Lanes::splat(simd, value as f32))
+    let mut lanes = [Lanes::splat(simd, (-0.5 * lobe.sharpness) as f32); 7];
+    for c in 0..3 {
+        lanes[c] = Lanes::splat(simd, lobe.axis[c] as f32);
+        lanes[4 + c] = Lanes::splat(simd, lobe.amplitude[c] as f32);
+    }
+    lanes
 }
 
 impl Tile {
@@ -203,13 +206,14 @@ impl Tile {
         Lanes::load(simd, &row[at..at + Lanes::<S>::LEN])
     }
 
-    /// ω − ξ and √w G at the texels from `at` on.
+    /// √w G at the texels from `at` on.
     #[inline(always)]
-    fn value<S: Simd>(&self, simd: S, lobe: &[Lanes<S>; 7], at: usize) -> ([Lanes<S>; 3], Lanes<S>) {
-        let offset = [0, 1, 2].map(|c| Self::load(simd, &self.directions[c], at) - lobe[c]);
-        let [x, y, z] = offset;
+    fn value<S: Simd>(&self, simd: S, lobe: &[Lanes<S>; 7], at: usize) -> Lanes<S> {
+        let x = Self::load(simd, &self.directions[0], at) - lobe[0];
+        let y = Self::load(simd, &self.directions[1], at) - lobe[1];
+        let z = Self::load(simd, &self.directions[2], at) - lobe[2];
         let square = x.mul_add(x, y.mul_add(y, z * z));
-        (offset, Self::load(simd, &self.root_weights, at) * (lobe[3] * square).exp())
+        Self::load(simd, &self.root_weights, at) * (lobe[3] * square).exp()
     }
 
     /// Writes √w (model − y) of the lobes `reached`, and √w G of each of them, one after the other, into `values`.
@@ -226,7 +230,7 @@ impl Tile {
         for (&k, values) in reached.iter().zip(values.chunks_exact_mut(TILE)) {
             let lobe = splat(simd, &lobes[k]);
             for at in (0..TILE).step_by(Lanes::<S>::LEN) {
-                let (_, value) = self.value(simd, &lobe, at);
+                let value = self.value(simd, &lobe, at);
                 value.store(&mut values[at..at + Lanes::<S>::LEN]);
                 for (c, row) in residual.iter_mut().enumerate() {
                     (lobe[4 + c] * value).add_to(&mut row[at..at + Lanes::<S>::LEN]);
@@ -239,20 +243,28 @@ impl Tile {
     /// A lobe's moments with a residual; `values` are its √w G.
     #[inline(always)]
     fn moments<S: Simd>(&self, simd: S, lobe: &FitLobe, values: &[f32], residual: &TileValues) -> Moments {
-        let axis = lobe.axis.map(|v| Lanes::splat(simd, v as f32));
+        let axis = splat(simd, lobe);
         let mut sums = [[Lanes::splat(simd, 0.0); 4]; 3];
         for at in (0..TILE).step_by(Lanes::<S>::LEN) {
             let value = Lanes::load(simd, &values[at..at + Lanes::<S>::LEN]);
-            let offset = [0, 1, 2].map(|c| Self::load(simd, &self.directions[c], at) - axis[c]);
+            let x = Self::load(simd, &self.directions[0], at) - axis[0];
+            let y = Self::load(simd, &self.directions[1], at) - axis[1];
+            let z = Self::load(simd, &self.directions[2], at) - axis[2];
             for c in 0..3 {
                 let product = value * Self::load(simd, &residual[c], at);
                 sums[c][0] += product;
-                for k in 0..3 {
-                    sums[c][k + 1] = product.mul_add(offset[k], sums[c][k + 1]);
-                }
+                sums[c][1] = product.mul_add(x, sums[c][1]);
+                sums[c][2] = product.mul_add(y, sums[c][2]);
+                sums[c][3] = product.mul_add(z, sums[c][3]);
             }
         }
-        sums.map(|row| row.map(|sum| f64::from(sum.sum())))
+        let mut moments = Moments::default();
+        for c in 0..3 {
+            for k in 0..4 {
+                moments[c][k] = f64::from(sums[c][k].sum());
+            }
+        }
+        moments
     }
 
     /// Inner products of a unit-amplitude lobe with −`residual`, per channel.
@@ -261,12 +273,16 @@ impl Tile {
         let lobe = splat(simd, lobe);
         let mut sums = [Lanes::splat(simd, 0.0); 3];
         for at in (0..TILE).step_by(Lanes::<S>::LEN) {
-            let (_, value) = self.value(simd, &lobe, at);
+            let value = self.value(simd, &lobe, at);
             for (sum, row) in sums.iter_mut().zip(residual) {
                 *sum = value.mul_add(Self::load(simd, row, at), *sum);
             }
         }
-        sums.map(|sum| -f64::from(sum.sum()))
+        let mut products = [0.0; 3];
+        for c in 0..3 {
+            products[c] = -f64::from(sums[c].sum());
+        }
+        products
     }
 }
 

@@ -1,11 +1,17 @@
 //! Dense linear algebra of the map fit: a Cholesky solver and non-negative least squares.
 
-use fearless_simd::{Level, dispatch};
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch, f64x8};
 use rayon::prelude::*;
 use std::ops::Range;
 
 /// Rows factored together, so that the rows below them can be done in parallel.
 const PANEL: usize = 32;
+/// Rows and columns whose products are summed at once.
+const ROWS: usize = 4;
+const COLUMNS: usize = 2;
+/// Numbers in a vector, of which a panel has a whole number.
+const LANES: usize = 8;
 
 /// Factors the symmetric positive definite `matrix` (n × n, row by row; the lower triangle is read) in place into L with
 /// matrix = L Lᵀ; false if it is not positive definite.
@@ -22,9 +28,14 @@ pub(crate) fn cholesky(matrix: &mut [f64], n: usize) -> bool {
             }
             row[i] = pivot.sqrt();
         }
-        tail.par_chunks_mut(n)
-            .with_min_len(8)
-            .for_each(|row| dispatch!(Level::new(), _simd => eliminate(row, head, n, start..end)));
+        if tail.is_empty() {
+            break;
+        }
+        let panel =
+            Panel { rows: &head[start * n..], n, start, inverse: inverse_of(&head[start * n..], n, start) };
+        tail.par_chunks_mut(ROWS * n)
+            .with_min_len(4)
+            .for_each(|rows| dispatch!(Level::new(), simd => panel.eliminate(simd, rows)));
     }
     true
 }
@@ -35,6 +46,98 @@ fn eliminate(row: &mut [f64], above: &[f64], n: usize, columns: Range<usize>) {
     for j in columns {
         row[j] = (row[j] - product(&row[..j], &above[j * n..j * n + j])) / above[j * n + j];
     }
+}
+
+/// The inverse of the triangle that `rows`, a whole panel, have from column `start` on, column by column.
+fn inverse_of(rows: &[f64], n: usize, start: usize) -> [[f64; PANEL]; PANEL] {
+    let mut inverse = [[0.0; PANEL]; PANEL];
+    for (k, column) in inverse.iter_mut().enumerate() {
+        for j in k..PANEL {
+            let row = &rows[j * n + start..][..PANEL];
+            let known: f64 = (k..j).map(|i| row[i] * column[i]).sum();
+            column[j] = (f64::from(u8::from(j == k)) - known) / row[j];
+        }
+    }
+    inverse
+}
+
+/// Rows of L that are known, [`PANEL`] of them.
+struct Panel<'a> {
+    rows: &'a [f64],
+    n: usize,
+    /// The column of the first row's diagonal.
+    start: usize,
+    /// The inverse of the triangle from there on, column by column.
+    inverse: [[f64; PANEL]; PANEL],
+}
+
+impl Panel<'_> {
+    /// Entries of up to [`ROWS`] rows of L in the columns of this panel, from those before them.
+    #[inline(always)]
+    fn eliminate<S: Simd>(&self, simd: S, rows: &mut [f64]) {
+        let Self { n, start, .. } = *self;
+        for j in (0..PANEL).step_by(COLUMNS) {
+            let above = &self.rows[j * n..(j + COLUMNS) * n];
+            if rows.len() == ROWS * n {
+                let products = block_products(simd, rows, above, n, start);
+                for i in 0..ROWS {
+                    for k in 0..COLUMNS {
+                        rows[i * n + start + j + k] -= products[i][k];
+                    }
+                }
+            } else {
+                for row in rows.chunks_exact_mut(n) {
+                    for k in 0..COLUMNS {
+                        row[start + j + k] -= product(&row[..start], &above[k * n..k * n + start]);
+                    }
+                }
+            }
+        }
+        for row in rows.chunks_exact_mut(n) {
+            self.divide(simd, &mut row[start..start + PANEL]);
+        }
+    }
+
+    /// Multiplies entries by the inverse.
+    #[inline(always)]
+    fn divide<S: Simd>(&self, simd: S, entries: &mut [f64]) {
+        let mut sums = [f64x8::splat(simd, 0.0); PANEL / LANES];
+        for (entry, column) in entries.iter().zip(&self.inverse) {
+            let entry = f64x8::splat(simd, *entry);
+            for (at, sum) in sums.iter_mut().enumerate() {
+                let column = &column[at * LANES..(at + 1) * LANES];
+                *sum = entry.mul_add(f64x8::from_slice(simd, column), *sum);
+            }
+        }
+        for (at, sum) in sums.into_iter().enumerate() {
+            sum.store_slice(&mut entries[at * LANES..(at + 1) * LANES]);
+        }
+    }
+}
+
+/// Products of the first `count` entries of [`ROWS`] rows with those of [`COLUMNS`] others: each number that is read serves several sums. `count` is a multiple of
+/// [`PANEL`].
+#[inline(always)]
+fn block_products<S: Simd>(simd: S, a: &[f64], b: &[f64], n: usize, count: usize) -> [[f64; COLUMNS]; ROWS] {
+    let mut sums = [[S::f64s::splat(simd, 0.0); COLUMNS]; ROWS];
+    let vectors = |row: usize| a[row * n..row * n + count].chunks_exact(S::f64s::LEN);
+    let others = b[..count].chunks_exact(S::f64s::LEN).zip(b[n..n + count].chunks_exact(S::f64s::LEN));
+    let own = vectors(0).zip(vectors(1)).zip(vectors(2).zip(vectors(3)));
+    for ((first, second), ((a, b), (c, d))) in others.zip(own) {
+        let (first, second) = (S::f64s::from_slice(simd, first), S::f64s::from_slice(simd, second));
+        for (own, sums) in [a, b, c, d].into_iter().zip(&mut sums) {
+            let own = S::f64s::from_slice(simd, own);
+            sums[0] = own.mul_add(first, sums[0]);
+            sums[1] = own.mul_add(second, sums[1]);
+        }
+    }
+    let mut products = [[0.0; COLUMNS]; ROWS];
+    for i in 0..ROWS {
+        for j in 0..COLUMNS {
+            products[i][j] = sums[i][j].as_slice().iter().sum();
+        }
+    }
+    products
 }
 
 /// Solves L Lᵀ x = `right` in place.

@@ -15,13 +15,16 @@ use crate::math::sg::sphere_integral;
 
 /// Sharpnesses tried, each about 2.5 times the one before.
 const SHARPNESSES: [f64; 10] = [1.5, 4.0, 10.0, 25.0, 60.0, 150.0, 400.0, 1000.0, 2500.0, 6000.0];
-/// Directions tried for each sharpness: λ times this, which makes their spacing slightly less than a standard deviation…
-const AXES_PER_SHARPNESS: f64 = 16.0;
+/// Directions tried for each sharpness: λ times this, which makes their spacing slightly more than a standard deviation, as the steps that follow move lobes by
+/// that much…
+const AXES_PER_SHARPNESS: f64 = 8.0;
 /// …within these limits.
 const AXES: [usize; 2] = [600, 20_000];
 /// Candidates that are evaluated again after each choice. A gain only decreases as others are chosen, so the best candidate is
 /// missed only if its gain falls below that of the first one left out.
 const SHORT_LIST: usize = 4096;
+/// Candidates are summed up where they are above e⁻⁴: a reach, above e⁻¹⁶, of so many times their sharpness.
+const REACH: f64 = 4.0;
 /// Texels per standard deviation 1/√λ in the map that a sharpness is searched in.
 const TEXELS_PER_DEVIATION: f64 = 1.5;
 
@@ -92,7 +95,7 @@ fn candidates(levels: &[Level], lobes: &[FitLobe], bounds: LobeBounds) -> Vec<Ca
         candidates.par_extend(axes.into_par_iter().filter(allowed).map(at));
     }
     // A stable sort, so that equal ones stay in order and the result is unique.
-    candidates.sort_by(|a, b| b.gain().total_cmp(&a.gain()));
+    candidates.par_sort_by(|a, b| b.gain().total_cmp(&a.gain()));
     candidates.truncate(SHORT_LIST);
     candidates
 }
@@ -100,11 +103,13 @@ fn candidates(levels: &[Level], lobes: &[FitLobe], bounds: LobeBounds) -> Vec<Ca
 #[inline(always)]
 fn candidate<S: Simd>(simd: S, level: &Level, residual: &[TileValues], lobe: &FitLobe) -> Candidate {
     let (axis, mut inner) = (DVec3::from_array(lobe.axis), [0.0; 3]);
-    let reach = LobeCap::new(axis, lobe.sharpness * 2.0);
+    let reach = LobeCap::new(axis, lobe.sharpness * REACH);
     for at in level.rows.iter().flat_map(|row| reach.tiles_in(row)) {
         if reach.meets(&level.tiles[at]) {
             let more = level.tiles[at].products(simd, lobe, &residual[at]);
-            inner.iter_mut().zip(more).for_each(|(sum, value)| *sum += value);
+            for c in 0..3 {
+                inner[c] += more[c];
+            }
         }
     }
     let norm = sphere_integral(2.0 * lobe.sharpness) / (4.0 * std::f64::consts::PI);

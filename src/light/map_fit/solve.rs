@@ -55,9 +55,9 @@ fn improve(
     bounds: LobeBounds,
 ) -> Option<(Vec<FitLobe>, Derivatives)> {
     let gradient = reached.gradient(lobes);
-    let matrix = gauss_newton(lobes, &Gram::of(lobes));
+    let gram = Gram::of(lobes);
     for _ in 0..6 {
-        if let Some(step) = damped_step(lobes, &gradient, matrix.clone(), *damping) {
+        if let Some(step) = damped_step(lobes, &gradient, gauss_newton(lobes, &gram), *damping) {
             let steps = lobes.iter().zip(step.as_chunks::<PARAMETERS>().0);
             let trial: Vec<FitLobe> = steps.map(|(l, s)| stepped(l, s, bounds)).collect();
             let lower = derivatives(tiles, &trial);
@@ -101,13 +101,13 @@ fn damped_step(
 fn gauss_newton(lobes: &[FitLobe], gram: &Gram) -> Vec<f64> {
     let n = lobes.len() * PARAMETERS;
     let mut matrix = vec![0.0; n * n];
-    for (k, a) in lobes.iter().enumerate() {
+    matrix.par_chunks_mut(PARAMETERS * n).zip(lobes).enumerate().for_each(|(k, (rows, a))| {
         for (l, b) in lobes.iter().enumerate().take(k + 1) {
             let colors: f64 = (0..3).map(|c| a.amplitude[c] * b.amplitude[c]).sum();
             for p in 0..PARAMETERS {
-                let row = (k * PARAMETERS + p) * n + l * PARAMETERS;
+                let row = p * n + l * PARAMETERS;
                 for q in 0..PARAMETERS {
-                    matrix[row + q] = match (p, q) {
+                    rows[row + q] = match (p, q) {
                         (0..3, 0..3) => colors * gram.at(k, p + 1, l, q + 1),
                         (0..3, _) => a.amplitude[q - 3] * gram.at(k, p + 1, l, 0),
                         (_, 0..3) => b.amplitude[p - 3] * gram.at(k, 0, l, q + 1),
@@ -117,7 +117,7 @@ fn gauss_newton(lobes: &[FitLobe], gram: &Gram) -> Vec<f64> {
                 }
             }
         }
-    }
+    });
     matrix
 }
 
