@@ -104,9 +104,10 @@ fn read_shares(
         arrived();
         Ok((loaded, look))
     };
+    let at_a_time = AT_A_TIME.max(ranks.size());
     let mut all = Vec::with_capacity(views.len());
-    for start in (0..views.len()).step_by(AT_A_TIME.max(ranks.size())) {
-        let end = views.len().min(start + AT_A_TIME.max(ranks.size()));
+    for start in (0..views.len()).step_by(at_a_time) {
+        let end = views.len().min(start + at_a_time);
         all.extend(exchange(start..end, ranks, |view| read(&views[view]), accept)?);
     }
     Ok(all)
@@ -114,7 +115,7 @@ fn read_shares(
 
 /// What `read` makes of each of some items: a share of them is read here, and what others have read goes through `accept`.
 ///
-/// What one process cannot read, all try to: each ends with the error of the first such item, and the first process is the one to tell it.
+/// What one process cannot read, the others try to, so that all end with the error of the first such item.
 fn exchange<T: Serialize + DeserializeOwned + Send>(
     items: Range<usize>,
     ranks: &Ranks,
@@ -124,29 +125,29 @@ fn exchange<T: Serialize + DeserializeOwned + Send>(
     let share = ranks.share(items.len(), 1);
     let own = items.start + share.start..items.start + share.end;
     let packed = |item: usize| {
-        let value = read(item)?;
-        Ok((to_bytes(&value)?, value))
+        let value = read(item);
+        Ok((to_bytes(&value.as_ref().map_err(Error::to_string))?, value))
     };
-    let results: Vec<Result<(Vec<u8>, T)>> = own.clone().into_par_iter().map(packed).collect();
-    let (bytes, values): (Vec<Vec<u8>>, Vec<Option<T>>) = results
-        .into_iter()
-        .map(|result| result.map_or_else(|_| (Vec::new(), None), |(bytes, value)| (bytes, Some(value))))
-        .unzip();
+    let packed: Vec<Result<(Vec<u8>, Result<T>)>> = own.clone().into_par_iter().map(packed).collect();
+    let packed: Vec<(Vec<u8>, Result<T>)> = packed.into_iter().collect::<Result<_>>()?;
+    let (bytes, values): (Vec<Vec<u8>>, Vec<Result<T>>) = packed.into_iter().unzip();
     let lists = ranks.join_lists(&bytes, items.len())?;
     drop(bytes);
     // All know by now whether one of them is asked to stop.
     check_interrupted()?;
-    if let Some(failed) = lists.iter().position(Vec::is_empty) {
-        return read(items.start + failed)
-            .and(Err(other_data("one of them cannot read a file that another can")));
-    }
     let received = |item: usize| match from_bytes(&lists[item - items.start]) {
-        Ok(value) => accept(item, value),
+        Ok(Ok(value)) => accept(item, value),
+        Ok(Err(problem)) => read(item).and_then(|_| Err(not_there(problem))),
         Err(_) => Err(other_data("what was sent")),
     };
     let of = |items: Range<usize>| items.into_par_iter().map(received).collect::<Vec<Result<T>>>();
     let (before, after) = (of(items.start..own.start), of(own.end..items.end));
-    before.into_iter().chain(values.into_iter().flatten().map(Ok)).chain(after).collect()
+    before.into_iter().chain(values).chain(after).collect()
+}
+
+/// What another process has told, where this one finds nothing wrong.
+fn not_there(problem: String) -> Error {
+    Error::run("another process cannot read a photograph", problem)
 }
 
 /// What was received is of another data set.
@@ -162,13 +163,18 @@ mod tests {
     use crate::ranks::threads::ThreadRank;
     use std::sync::Arc;
 
-    /// What each of three processes gets of items, three or four at a time; the first of those that are not there is an error, and `sent` is what one sends.
-    fn by_three(count: usize, missing: &[usize], accepted: usize) -> Vec<Result<Vec<String>>> {
+    /// What each of three processes gets of items, four at a time. Those that `is_missing` says of a process are not there for it, and those from `accepted` on are
+    /// of other data.
+    fn by_three(
+        count: usize,
+        is_missing: fn(usize, usize) -> bool,
+        accepted: usize,
+    ) -> Vec<Result<Vec<String>>> {
         let read_by = |rank: ThreadRank| {
             let ranks = Ranks::new(Arc::new(rank));
             let read = |item: usize| {
                 let text = format!("item {item}");
-                if missing.contains(&item) { Err(Error::run(text, "is not there")) } else { Ok(text) }
+                if is_missing(ranks.rank(), item) { Err(Error::run(text, "is not there")) } else { Ok(text) }
             };
             let accept = |item: usize, text: String| {
                 if item < accepted { Ok(text) } else { Err(other_data(&text)) }
@@ -189,21 +195,30 @@ mod tests {
     #[test]
     fn all_have_all_items_in_order_after_several_exchanges() {
         let expected: Vec<String> = (0..10).map(|item| format!("item {item}")).collect();
-        for all in by_three(10, &[], 10) {
+        for all in by_three(10, |_, _| false, 10) {
             assert_eq!(all.unwrap(), expected);
         }
     }
 
     #[test]
-    fn all_end_with_the_error_of_the_first_item_that_one_cannot_read() {
-        for all in by_three(10, &[6, 5, 9], 10) {
+    fn all_end_with_the_error_of_the_first_item_that_is_not_there() {
+        for all in by_three(10, |_, item| [6, 5, 9].contains(&item), 10) {
             assert_eq!(all.unwrap_err().to_string(), "item 5: is not there");
         }
     }
 
     #[test]
+    fn what_only_one_process_cannot_read_is_told_by_all() {
+        // The last process has the last item of four.
+        let all = by_three(4, |rank, item| rank == 2 && item == 3, 4);
+        let texts: Vec<String> = all.into_iter().map(|all| all.unwrap_err().to_string()).collect();
+        let told = "another process cannot read a photograph: item 3: is not there";
+        assert_eq!(texts, [told, told, "item 3: is not there"]);
+    }
+
+    #[test]
     fn an_item_of_other_data_is_told_by_those_that_receive_it() {
-        let all = by_three(4, &[], 3);
+        let all = by_three(4, |_, _| false, 3);
         let told =
             all.iter().filter(|all| all.as_ref().is_err_and(|error| error.to_string().contains("item 3")));
         assert_eq!(told.count(), 2);

@@ -243,13 +243,13 @@ impl Tile {
     /// A lobe's moments with a residual; `values` are its √w G.
     #[inline(always)]
     fn moments<S: Simd>(&self, simd: S, lobe: &FitLobe, values: &[f32], residual: &TileValues) -> Moments {
-        let axis = splat(simd, lobe);
+        let lobe = splat(simd, lobe);
         let mut sums = [[Lanes::splat(simd, 0.0); 4]; 3];
         for at in (0..TILE).step_by(Lanes::<S>::LEN) {
             let value = Lanes::load(simd, &values[at..at + Lanes::<S>::LEN]);
-            let x = Self::load(simd, &self.directions[0], at) - axis[0];
-            let y = Self::load(simd, &self.directions[1], at) - axis[1];
-            let z = Self::load(simd, &self.directions[2], at) - axis[2];
+            let x = Self::load(simd, &self.directions[0], at) - lobe[0];
+            let y = Self::load(simd, &self.directions[1], at) - lobe[1];
+            let z = Self::load(simd, &self.directions[2], at) - lobe[2];
             for c in 0..3 {
                 let product = value * Self::load(simd, &residual[c], at);
                 sums[c][0] += product;

@@ -23,8 +23,8 @@ const AXES: [usize; 2] = [600, 20_000];
 /// Candidates that are evaluated again after each choice. A gain only decreases as others are chosen, so the best candidate is
 /// missed only if its gain falls below that of the first one left out.
 const SHORT_LIST: usize = 4096;
-/// Candidates are summed up where they are above e⁻⁴: a reach, above e⁻¹⁶, of so many times their sharpness.
-const REACH: f64 = 4.0;
+/// Candidates are summed up where they are above e⁻⁶: the reach, above e⁻¹⁶, of so many times their sharpness.
+const REACH: f64 = 16.0 / 6.0;
 /// Texels per standard deviation 1/√λ in the map that a sharpness is searched in.
 const TEXELS_PER_DEVIATION: f64 = 1.5;
 
