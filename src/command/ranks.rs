@@ -15,7 +15,7 @@ use std::time::Duration;
 use tempfile::TempDir;
 
 /// How long another process than the first waits with its error: the first one mostly has the same.
-const AFTER_FIRST: Duration = Duration::from_secs(1);
+const AFTER_FIRST: Duration = Duration::from_secs(5);
 /// Time between two checkpoints of another process than the first, whose are for nothing.
 const NEVER: Duration = Duration::from_secs(1 << 30);
 
