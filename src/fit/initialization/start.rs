@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 const LEAST_VIEWS: usize = 6;
 /// Largest error relative to that of the usual frame for another to be chosen.
 const BETTER: f32 = 0.9;
-/// Lobes that each frame is tried with: one that shines and one that is matte, which hide the right frame of an object that is not so.
+/// Lobes that each frame is tried with: the scene's own and the first other. By default one shines and one is matte; each alone may hide the right frame.
 const FIRST: usize = 2;
 /// Error with these, relative to the least of all frames, above which a frame is tried with no other. The others lower the error of a frame by 6 % at most (`spot`,
 /// `sphere`, `cheburashka`, `skull`, `head`).
