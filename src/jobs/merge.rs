@@ -14,6 +14,7 @@ use crate::pass::summary::{Outcome, read_outcome};
 use crate::scene::Orbit;
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// The table of the units in their folder.
@@ -72,11 +73,13 @@ pub fn merge(out: &Path, units: Vec<UnitRow>) -> Result<Merged> {
 /// Refuses to replace a table that is not one of units.
 fn check_table(path: &Path) -> Result<()> {
     match fs::read(path) {
-        Ok(bytes) if !bytes.starts_with(b"unit,state,secs,") => {
+        Ok(bytes) if bytes.starts_with(b"unit,state,secs,") => Ok(()),
+        Ok(_) => {
             let problem = format!("{} is not a table that this command wrote", path.display());
             Err(Error::usage(problem, "Move it away; it is not replaced."))
         }
-        _ => Ok(()),
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+        Err(error) => Err(Error::io("read", path)(error)),
     }
 }
 
@@ -201,7 +204,7 @@ fn parts_of_films(units: &[UnitRow]) -> BTreeMap<String, FilmParts> {
 
 /// Joins a film whose frames are all there.
 fn join(out: &Path, pass: &str, parts: &FilmParts) -> Result<JoinedFilm> {
-    let files = frames_of(out, pass, parts);
+    let files = frames_of(out, pass, parts)?;
     let film = out.join(format!("{pass}.mp4"));
     let mut joined = JoinedFilm { file: film, there: files.len(), frames: parts.frames, problem: None };
     let first = files.first().filter(|_| files.len() == parts.frames as usize);
@@ -222,11 +225,17 @@ fn join(out: &Path, pass: &str, parts: &FilmParts) -> Result<JoinedFilm> {
 }
 
 /// The frames that are there, in their order; of several of one number that of the first unit.
-fn frames_of(out: &Path, pass: &str, parts: &FilmParts) -> Vec<PathBuf> {
+fn frames_of(out: &Path, pass: &str, parts: &FilmParts) -> Result<Vec<PathBuf>> {
     let mut found = BTreeMap::new();
     for unit in &parts.units {
         let folder = out.join(unit).join(pass).join(FRAMES);
-        for file in fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()) {
+        let files = match fs::read_dir(&folder) {
+            Ok(files) => files,
+            Err(error) if error.kind() == ErrorKind::NotFound => continue,
+            Err(error) => return Err(Error::io("read", &folder)(error)),
+        };
+        for entry in files {
+            let file = entry.map_err(Error::io("read", &folder))?.path();
             let number = file.file_stem().and_then(|stem| stem.to_str()?.parse().ok());
             let is_named = |number: &u32| file.file_name() == Some(frame_file(*number as usize).as_ref());
             if let Some(number) = number.filter(|number| *number < parts.frames && is_named(number)) {
@@ -234,7 +243,7 @@ fn frames_of(out: &Path, pass: &str, parts: &FilmParts) -> Vec<PathBuf> {
             }
         }
     }
-    found.into_values().collect()
+    Ok(found.into_values().collect())
 }
 
 /// Why a film cannot be joined from these parts.
@@ -321,12 +330,8 @@ mod tests {
         let other = |first: &str, path: &str| {
             Some(([first.to_owned(), "turn_000030-000039".to_owned()], path.to_owned()))
         };
-        let second = units[3].0.clone();
         let found = parts_of_films(&units)["turn"].other.clone();
-        assert_eq!(
-            (found, second.as_str()),
-            (other("turn_000024-000047", "b/albedo.exr"), "turn_000024-000047")
-        );
+        assert_eq!(found, other("turn_000024-000047", "b/albedo.exr"));
         *units.last_mut().unwrap() = with("25", "(30, 10)", unit("turn_000030-000039", "finished", &[]));
         let path = "passes.turn.render.orbit.fps";
         assert_eq!(parts_of_films(&units)["turn"].other, other("turn_000000-000023", path));
@@ -344,9 +349,27 @@ mod tests {
             fs::create_dir_all(&frames).unwrap();
             fs::write(frames.join(name), "").unwrap();
         }
-        let found = frames_of(folder.path(), "turn", &parts);
+        let found = frames_of(folder.path(), "turn", &parts).unwrap();
         let names: Vec<_> = found.iter().map(|file| file.strip_prefix(folder.path()).unwrap()).collect();
         let frame = |unit: &str, name: &str| Path::new(unit).join("turn").join(FRAMES).join(name);
         assert_eq!(names, [frame("b", "000001.png"), frame("a", "000003.png")]);
+        // What cannot be read is not taken for frames that are not there.
+        fs::create_dir_all(folder.path().join("c/turn")).unwrap();
+        fs::write(folder.path().join("c/turn").join(FRAMES), "").unwrap();
+        assert!(frames_of(folder.path(), "turn", &parts).unwrap_err().to_string().contains(FRAMES));
+    }
+
+    #[test]
+    fn only_a_table_of_units_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(UNITS);
+        check_table(&path).unwrap();
+        fs::write(&path, table(&[]).unwrap()).unwrap();
+        check_table(&path).unwrap();
+        fs::write(&path, "length,unit\n").unwrap();
+        assert!(check_table(&path).unwrap_err().to_string().contains("not a table that this command wrote"));
+        fs::remove_file(&path).unwrap();
+        fs::create_dir(&path).unwrap();
+        assert!(check_table(&path).unwrap_err().to_string().contains(UNITS));
     }
 }

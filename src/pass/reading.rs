@@ -138,7 +138,7 @@ fn exchange<T: Serialize + DeserializeOwned + Send>(
     let received = |item: usize| match from_bytes(&lists[item - items.start]) {
         Ok(Ok(value)) => accept(item, value),
         Ok(Err(problem)) => read(item).and_then(|_| Err(not_there(problem))),
-        Err(_) => Err(other_data("what was sent")),
+        Err(_) => Err(other_data(&format!("number {} as it was sent", item + 1))),
     };
     let of = |items: Range<usize>| items.into_par_iter().map(received).collect::<Vec<Result<T>>>();
     let (before, after) = (of(items.start..own.start), of(own.end..items.end));

@@ -222,7 +222,7 @@ pub(crate) fn check_interrupted_together(ranks: Option<&Ranks>) -> Result<()> {
 
 /// The error of a process that others have left, or that has got something unexpected.
 fn broken(problem: impl Into<String>) -> Error {
-    Error::run("a fit on several processes", problem)
+    Error::run("work of several processes", problem)
 }
 
 #[cfg(test)]

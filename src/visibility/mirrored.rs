@@ -272,10 +272,13 @@ mod tests {
 
     /// What arrives of a narrow lobe around `axis` over a floor beside the wall.
     fn part(axis: Vec3, wall: Mirror, sky: &Sky) -> Vec3 {
+        part_by(LobeRays::of_frame(&Wall), axis, wall, sky)
+    }
+
+    fn part_by(rays: LobeRays, axis: Vec3, wall: Mirror, sky: &Sky) -> Vec3 {
         let visibility = one_row();
         let bounce = Bounce { mirrors: vec![wall], ..Bounce::default() };
-        let mirrored =
-            Mirrored { rays: LobeRays::of_frame(&Wall), visibility: &visibility, sky, bounce: &bounce };
+        let mirrored = Mirrored { rays, visibility: &visibility, sky, bounce: &bounce };
         mirrored.part(&seen(Vec3::Y), axis.normalize(), 2000.0)
     }
 
@@ -299,10 +302,13 @@ mod tests {
     fn a_lobe_that_meets_a_wall_has_its_light() {
         let sky = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
         let red = Mirror { diffuse: Vec3::new(1.0, 0.5, 0.0), ..Mirror::default() };
-        assert!(part(Vec3::new(1.0, 1.0, 0.0), red, &sky).abs_diff_eq(Vec3::new(0.5, 0.25, 0.0), 1e-3));
-        assert!(part(Vec3::new(-1.0, 1.0, 0.0), red, &sky).abs_diff_eq(Vec3::ONE, 1e-6));
-        // Half of the lobe meets it.
-        assert!(part(Vec3::Y, red, &sky).abs_diff_eq(Vec3::new(0.75, 0.625, 0.5), 0.04));
+        for rays in [LobeRays::of_frame(&Wall), LobeRays::of_step(&Wall)] {
+            let part = |axis: Vec3| part_by(rays, axis, red, &sky);
+            assert!(part(Vec3::new(1.0, 1.0, 0.0)).abs_diff_eq(Vec3::new(0.5, 0.25, 0.0), 1e-3));
+            assert!(part(Vec3::new(-1.0, 1.0, 0.0)).abs_diff_eq(Vec3::ONE, 1e-6));
+            // Half of the lobe meets it.
+            assert!(part(Vec3::Y).abs_diff_eq(Vec3::new(0.75, 0.625, 0.5), 0.04));
+        }
     }
 
     #[test]

@@ -193,8 +193,8 @@ impl ObjectVisibility {
     }
 
     /// Computes the visibility of points, given the direction to the viewer, the pixel and the roughness of each by index; overwrites
-    /// `rows` and `seen`. With `rays`, these find what narrow lobes mirror of the object. Of the points of one pixel, one after another, those that are alike
-    /// have what the first of them mirrors.
+    /// `rows` and `seen`. With `rays`, these find what narrow lobes mirror of the object, and of the points of one pixel, one after another, those that are
+    /// alike have what the first of them mirrors.
     pub fn window(
         &self,
         points: &[SurfacePoint],
@@ -208,9 +208,11 @@ impl ObjectVisibility {
             let SurfacePoint { position, normal, geometric_normal, .. } = points[i];
             SeenPoint { position, normal, geometric_normal, to_viewer: viewer(i).0, roughness: roughness(i) }
         };
-        let near = rays.map_or(0.0, |rays| NEAR * rays.radius());
         let pixel_of = |i: usize| points[i].is_hit().then(|| viewer(i).1);
-        let firsts = first_of_alike(points.len(), pixel_of, at, near);
+        let firsts = rays.map_or_else(
+            || (0..points.len()).collect(),
+            |rays| first_of_alike(points.len(), pixel_of, at, NEAR * rays.radius()),
+        );
         rows.stride = self.stride;
         rows.rows.resize(points.len() * self.stride, 255);
         let outputs = rows.rows.par_chunks_mut(self.stride.max(1)).zip(&mut *seen);

@@ -390,11 +390,11 @@ impl Initialization<'_> {
         let Some(object) = &self.object else { return Ok((rows, Vec::new())) };
         let observations = &self.observations[run];
         let mut seen = vec![PointVisibility::OPEN; observations.len()];
-        let surface: Vec<SurfacePoint> = observations.iter().map(|o| o.point).collect();
+        let surface: Vec<SurfacePoint> = observations.par_iter().map(|o| o.point).collect();
         let viewer = |Observation { pixel, .. }: &Observation| {
             Ok(-self.cameras.of(pixel.view)?.pixel_ray(pixel.pixel).direction)
         };
-        let viewers: Vec<Vec3> = observations.iter().map(viewer).collect::<Result<_>>()?;
+        let viewers: Vec<Vec3> = observations.par_iter().map(viewer).collect::<Result<_>>()?;
         let viewer = |i: usize| (viewers[i], observations[i].pixel);
         object.window(&surface, viewer, |_| self.specular.roughness, None, &mut rows, &mut seen);
         Ok((rows, seen))
