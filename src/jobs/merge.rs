@@ -58,7 +58,8 @@ pub fn units(out: &Path, named: &[Unit]) -> Result<Vec<UnitRow>> {
 /// Writes `units.csv` and joins films, `PASS.mp4` from the frames of all units of a pass; returns those with the page.
 ///
 /// # Errors
-/// [`Error::Io`] if a file cannot be written; [`Error::Input`] for frames that cannot be read.
+/// [`Error::Usage`] if `units.csv` is not such a table; [`Error::Io`] if it or a folder of frames cannot be read, or a file cannot be written;
+/// [`Error::Input`] for frames that cannot be read.
 pub fn merge(out: &Path, units: Vec<UnitRow>) -> Result<Merged> {
     check_table(&out.join(UNITS))?;
     write_bytes(&out.join(UNITS), table(&units)?.as_bytes())?;
