@@ -86,6 +86,43 @@ fn what_surrounds_the_steps_of_a_shape_has_the_bits_of_one() {
     agrees(&data, &text, "fit", &[2, 3]);
 }
 
+/// Pixels of training photographs stay with the process that has read them; passes get those that they look at.
+#[test]
+fn photographs_that_others_keep_are_compared_and_shown() {
+    let data = photographs();
+    let again = r#"Render(name: "again", render: (views: All)),
+        Evaluate(name: "between", scores: [(pass: "again", truth: Photographs)]),"#;
+    let passes = format!(
+        r#"Fit(name: "first", steps: 90, batch: 300, cameras: Poses, detail: true), {again}
+        View(name: "page", photographs: 3), Fit(name: "fit", steps: 4, batch: 800), Render(name: "novel"),
+        Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs), (pass: "again", truth: Photographs)]),
+        View(name: "view", photographs: 4),"#
+    );
+    two_balls(&data);
+    let text = scene(MESH, "material: (gloss: One),", &passes);
+    let (alone, _) = run(&data, &text, "fit", 1).remove(0);
+    let of = |run: &str, pass: &str| results(&data.path(run).join(pass));
+    for size in [2, 3] {
+        for (rank, (found, _)) in run(&data, &text, "fit", size).into_iter().enumerate() {
+            assert!(found == alone, "rank {rank} of {size} differs:\n{alone:?}\n{found:?}");
+            let between = of("1/0", "between");
+            let also = of(&format!("{size}/{rank}"), "between");
+            assert!(!between.is_empty() && also == between, "{rank} of {size}");
+        }
+        // The title of a page is that of its output folder, which is another for each rank.
+        for pass in ["page", "scores", "view"] {
+            let (expected, found) = (of("1/0", pass), of(&format!("{size}/0"), pass));
+            assert!(!expected.is_empty() && found == expected, "{pass} with {size} ranks");
+        }
+        for pass in ["scores", "view"] {
+            assert!(
+                !data.path(&format!("{size}/1")).join(pass).exists(),
+                "{pass} is for the first of {size}"
+            );
+        }
+    }
+}
+
 #[test]
 fn several_base_materials_are_the_same_on_all_ranks_and_nearly_those_of_one() {
     let data = Data::new();

@@ -15,7 +15,7 @@ use lobelia::scene::Pass;
 use lobelia::scene::{LoadOptions, LoadedScene, load, unknown_parts};
 use lobelia::scene::{Scene, Surface, Views};
 use lobelia::survey::contact_sheet::contact_sheet;
-use lobelia::survey::estimate::{Estimate, estimate};
+use lobelia::survey::estimate::{Estimate, Workers, estimate};
 use lobelia::survey::open::{OpenScene, survey};
 use lobelia::survey::{Severity, Survey, json, table};
 use lobelia::view::ViewRecord;
@@ -77,7 +77,7 @@ impl Outcome {
         let known = surveyed.is_some() || !matches!(scene.views, Views::Dataset(_));
         let looks = known.then(|| looks(scene, surveyed)).transpose();
         let needs = looks.as_ref().ok().and_then(Option::as_ref);
-        let needs = needs.map(|looks| estimate(looks, scene, rayon::current_num_threads()));
+        let needs = needs.map(|looks| estimate(looks, scene, Workers::threads(rayon::current_num_threads())));
         let ends = |notes, error: Option<Error>| Self { notes, needs, is_further: false, error };
         if let Some(error) = surveyed.and_then(|survey| survey.findings_of(Severity::Error).next()) {
             return ends(Vec::new(), Some(error.to_error()));
@@ -87,7 +87,7 @@ impl Outcome {
         }
         let notes = Notes::default();
         let keeps = looks.and_then(|looks| match looks {
-            Some(looks) => within(scene, &looks, budget, &notes).map(drop),
+            Some(looks) => within(scene, &looks, budget, 1, &notes).map(drop),
             None => Ok(()),
         });
         let error = keeps.and_then(|()| rehearse(scene, views, &notes)).err();

@@ -10,7 +10,7 @@ use crate::dataset::priors::{MapLookup, PriorFiles};
 use crate::dataset::straighten::Straightening;
 use crate::error::{Error, Result};
 use crate::view::Placement;
-use crate::view::{Camera, Mask, Split, StoredMask, ViewRecord};
+use crate::view::{Camera, Mask, Photograph, Split, StoredMask, ViewRecord};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -126,17 +126,29 @@ impl PlannedView {
             picture.as_mut().zip(mask.as_ref()).is_some_and(|(picture, mask)| picture.blacken(mask));
         let repairs = picture.as_ref().map(|picture| picture.repairs().clone()).unwrap_or_default();
         let mask = mask.map(|mask| if self.downscale > 1 { mask.downscaled(self.downscale) } else { mask });
-        let photograph = picture.map(|picture| picture.keep(self.downscale, mask.as_ref(), &self.curves));
+        let (photograph, stored) = self.kept(picture, mask.as_ref())?;
         let lookup = MapLookup { bent: &bent, way: way.as_ref(), downscale: self.downscale, camera };
         let record = ViewRecord {
-            photograph: photograph.transpose()?,
-            mask: mask.as_ref().map(StoredMask::new),
+            photograph,
+            mask: stored,
             priors: self.priors.read(&lookup, mask.as_ref())?,
             placement: self.placement,
             ..ViewRecord::of_camera(plan.name.clone(), self.split, camera)
         };
         let exif = [header, mask_header].map(|header| header.map_or(1, |header| silent_exif(&header)));
         Ok(LoadedView { record, repairs, blackened, exif })
+    }
+
+    /// Photograph and mask as they are kept.
+    fn kept(
+        &self,
+        picture: Option<DecodedPhotograph>,
+        mask: Option<&Mask>,
+    ) -> Result<(Option<Photograph>, Option<StoredMask>)> {
+        let photograph = picture.map(|picture| picture.keep(self.downscale, mask, &self.curves));
+        let (mut photograph, mask) = (photograph.transpose()?, mask.map(StoredMask::new));
+        share_alpha(&mut photograph, mask.as_ref());
+        Ok((photograph, mask))
     }
 }
 
@@ -148,7 +160,13 @@ impl LoadedView {
         {
             photograph.share(curve);
         }
+        share_alpha(&mut self.record.photograph, self.record.mask.as_ref());
     }
+}
+
+/// Lets a photograph share the memory of the mask that it is cut out by.
+fn share_alpha(photograph: &mut Option<Photograph>, mask: Option<&StoredMask>) {
+    photograph.iter_mut().zip(mask).for_each(|(photograph, mask)| photograph.share_alpha(mask));
 }
 
 /// Notes for the user about what was done to loaded views, with counts.

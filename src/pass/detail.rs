@@ -31,7 +31,7 @@ use std::time::Instant;
 pub(crate) fn refine_texture(session: &mut Session, pass: &FitPass, options: &FitOptions) -> Result<()> {
     let _detail = stage("texture");
     let start = Instant::now();
-    let factor = factor_for(session);
+    let factor = factor_for(session)?;
     if factor > 1 {
         refine(session, factor)?;
     }
@@ -51,7 +51,7 @@ pub(crate) fn refine_texture(session: &mut Session, pass: &FitPass, options: &Fi
 }
 
 /// The whole factor that makes a texel about a pixel wide in the median training photograph, as far as [`finest_side`] lets it.
-fn factor_for(session: &mut Session) -> u32 {
+fn factor_for(session: &mut Session) -> Result<u32> {
     let (middle, _) = session.surface.bounding_sphere();
     let world = &mut session.pipeline.world;
     let mut views = world.query_filtered::<(&Camera, &Split), With<Photograph>>();
@@ -59,13 +59,13 @@ fn factor_for(session: &mut Session) -> u32 {
     let pixel = |(camera, _): (&Camera, _)| camera.position().distance(middle) / camera.focal[0];
     let mut pixels: Vec<f32> = training.map(pixel).collect();
     pixels.sort_by(f32::total_cmp);
-    let Some(pixel) = pixels.get(pixels.len() / 2) else { return 1 };
-    let pixels = visited_pixels(world);
+    let Some(pixel) = pixels.get(pixels.len() / 2) else { return Ok(1) };
+    let pixels = visited_pixels(world)?;
     let atlas = session.surface.atlas();
     let side = atlas.width.max(atlas.height).max(1);
     let most = finest_side(pixels as f64) as u32 / side;
     // A cast of what is not a number is 0.
-    ((atlas.texel_size() / pixel).round() as u32).min(most).max(1)
+    Ok(((atlas.texel_size() / pixel).round() as u32).min(most).max(1))
 }
 
 /// Divides each texel into `factor`² texels of the same material.

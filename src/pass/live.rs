@@ -294,10 +294,12 @@ fn reduced(camera: &Camera, side: u32) -> (Camera, u32) {
     (camera.scaled(factor), factor)
 }
 
-/// A few training photographs, evenly chosen.
+/// A few training photographs, evenly chosen of those that this process has.
 fn reduced_photographs(world: &mut World) -> Vec<Reduced> {
     let mut query = world.query::<(&ViewIndex, &Split, &Camera, &Photograph, Option<&ViewMask>)>();
-    let mut train: Vec<_> = query.iter(world).filter(|(_, split, ..)| **split == Split::Train).collect();
+    let is_here = |split: &Split, photograph: &Photograph| *split == Split::Train && photograph.has_pixels();
+    let mut train: Vec<_> =
+        query.iter(world).filter(|(_, split, _, photograph, _)| is_here(split, photograph)).collect();
     train.sort_by_key(|(index, ..)| **index);
     let chosen = choose_evenly(train.len(), COMPARED);
     let small = |place: usize| {

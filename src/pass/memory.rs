@@ -4,7 +4,7 @@ use crate::error::{Error, Result};
 use crate::pass::memory_limits::machine_memory;
 use crate::pass::progress::Progress;
 use crate::scene::{Pass, Scene};
-use crate::survey::estimate::{Estimate, estimate, memory};
+use crate::survey::estimate::{Estimate, Workers, estimate, memory};
 use crate::survey::look::ViewLook;
 use std::borrow::Cow;
 
@@ -43,7 +43,7 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
     }
 }
 
-/// The scene as it keeps to a budget of `bytes`, with these views: the same if it does, else with smaller pools, which a note tells.
+/// The scene as each of some `processes` keeps to a budget of `bytes`, with these views: the same if it does, else with smaller pools, which a note tells.
 ///
 /// # Errors
 /// [`Error::Usage`] with the memory that would do, if the smallest pools take too much.
@@ -51,10 +51,11 @@ pub fn within<'a>(
     scene: &'a Scene,
     looks: &[ViewLook],
     bytes: Option<u64>,
+    processes: usize,
     progress: &dyn Progress,
 ) -> Result<Cow<'a, Scene>> {
     let Some(budget) = bytes.map(|bytes| bytes as f64) else { return Ok(Cow::Borrowed(scene)) };
-    let needs = |scene: &Scene| estimate(looks, scene, 1);
+    let needs = |scene: &Scene| estimate(looks, scene, Workers { threads: 1, processes });
     let full = needs(scene);
     if full.bytes() <= budget {
         return Ok(Cow::Borrowed(scene));
@@ -140,7 +141,7 @@ mod tests {
         };
         let refused = |scene: &Scene, budget: u64| {
             let looks = crate::pass::looks(scene, None).unwrap();
-            within(scene, &looks, Some(budget), &Silent).err().map(|error| error.to_string())
+            within(scene, &looks, Some(budget), 1, &Silent).err().map(|error| error.to_string())
         };
         assert_eq!(refused(&scene(64, 64), 300 << 20), None);
         let said = refused(&scene(64, 1024), 300 << 20).unwrap();

@@ -30,6 +30,7 @@ mod found_views;
 mod gloss;
 mod inputs;
 pub(crate) mod inspect;
+mod lend;
 pub mod live;
 mod machine;
 pub mod memory;
@@ -205,7 +206,8 @@ fn within_limits<'a>(
     progress: &dyn Progress,
 ) -> Result<Cow<'a, Scene>> {
     let looks = looks(scene, survey)?;
-    let scene = memory::within(scene, &looks, options.memory, progress)?;
+    let processes = options.ranks.as_ref().map_or(1, Ranks::size);
+    let scene = memory::within(scene, &looks, options.memory, processes, progress)?;
     if !options.resume {
         check_room(&options.out, written_bytes(&looks, &scene) as u64)?;
     }

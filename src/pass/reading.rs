@@ -1,26 +1,21 @@
-//! Reading of the photographs of a data set; several processes each read a share, and send it to the others.
-//!
-//! | name | unit | value | meaning |
-//! | --- | --- | --- | --- |
-//! | [`AT_A_TIME`] | | 32 | views that are read before the processes exchange them |
+//! Reading of the photographs of a data set. Several processes each read a share: the pixels of training photographs stay where they are read, and those of
+//! test views, which nobody fits to, go to the first process. All else that is known of a view, its mask too, goes to all.
 
 use crate::checkpoint::packed::{from_bytes, to_bytes};
 use crate::dataset::{LoadedView, PlannedView, load_notes};
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
-use crate::ranks::Ranks;
+use crate::ranks::owned::AT_A_TIME;
+use crate::ranks::{Ranks, share};
 use crate::scene::{Pass, Scene, Surface};
 use crate::survey::open::OpenScene;
 use crate::survey::{Severity, Survey, ViewLook};
-use crate::view::ViewRecord;
+use crate::view::{Photograph, Split, ViewRecord};
 use rayon::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::ops::Range;
-
-/// Views that are read before the processes exchange them: only these are in memory several times. More with more than so many processes.
-const AT_A_TIME: usize = 32;
 
 /// A view, and what a survey keeps of it.
 type ReadView = (LoadedView, Option<ViewLook>);
@@ -53,7 +48,7 @@ pub(super) fn read_data(
             let sent = ranks.take_traffic().of_shares;
             let (count, mb) = (ranks.size(), sent.bytes as f64 / 1e6);
             progress.print(&format!(
-                "photographs: read by {count} processes; each received {mb:.1} MB, in {:.1} s with waiting",
+                "photographs: read by {count} processes, each of which keeps those that it has read, and received {mb:.1} MB, in {:.1} s with waiting",
                 sent.seconds
             ));
             views
@@ -84,7 +79,8 @@ fn read_all<T: Send>(
     read.into_iter().collect()
 }
 
-/// Reads a share of the views and gets the others from those that read them; `arrived` is told of each of these. A view is the same, bit by bit, whoever has read it.
+/// Reads a share of the views and gets the others from those that read them, most without their pixels; `arrived` is told of each of these. A view is the
+/// same, bit by bit, whoever has read it.
 fn read_shares(
     views: &[PlannedView],
     ranks: &Ranks,
@@ -95,38 +91,93 @@ fn read_shares(
     if said.iter().any(|other| *other != said[0]) {
         return Err(other_data("numbers of views"));
     }
-    let accept = |view: usize, (mut loaded, look): ReadView| {
-        let planned = &views[view];
-        if loaded.record.name != planned.name() {
-            return Err(other_data(planned.name()));
-        }
-        loaded.share_tables(planned);
-        arrived();
+    let plan = SharedReading { views, ranks, at_a_time: AT_A_TIME.max(ranks.size()) };
+    let read = |view: usize| {
+        let (mut loaded, look) = read(&views[view])?;
+        loaded.record.photograph.iter_mut().for_each(|photograph| photograph.set_keeper(plan.keeper(view)));
         Ok((loaded, look))
     };
-    let at_a_time = AT_A_TIME.max(ranks.size());
+    let accept = |view, received| plan.accept(view, received).inspect(|_| arrived());
     let mut all = Vec::with_capacity(views.len());
-    for start in (0..views.len()).step_by(at_a_time) {
-        let end = views.len().min(start + at_a_time);
-        all.extend(exchange(start..end, ranks, |view| read(&views[view]), accept)?);
+    for start in (0..views.len()).step_by(plan.at_a_time) {
+        let end = views.len().min(start + plan.at_a_time);
+        all.extend(exchange(start..end, ranks, read, |view, read| plan.send(view, read), accept)?);
     }
     Ok(all)
 }
 
-/// What `read` makes of each of some items: a share of them is read here, and what others have read goes through `accept`.
+/// Who reads which view, and who keeps its photograph.
+struct SharedReading<'a> {
+    views: &'a [PlannedView],
+    ranks: &'a Ranks,
+    /// Views that are read before the processes exchange them.
+    at_a_time: usize,
+}
+
+impl SharedReading<'_> {
+    /// The process that keeps the pixels of a view: that which reads it, or of a test view the first.
+    fn keeper(&self, view: usize) -> u32 {
+        if self.views[view].split() == Split::Test {
+            return 0;
+        }
+        let start = view / self.at_a_time * self.at_a_time;
+        let (count, size) = (self.at_a_time.min(self.views.len() - start), self.ranks.size());
+        let reader = (0..size).find(|rank| share(count, 1, *rank, size).contains(&(view - start)));
+        reader.unwrap_or(0) as u32
+    }
+
+    fn keeps(&self, view: usize) -> bool {
+        self.keeper(view) == self.ranks.rank() as u32
+    }
+
+    /// The bytes of a view that this process has read, as those get it that have not; and what stays here of it.
+    fn send(&self, view: usize, (mut loaded, look): ReadView) -> Result<(Vec<u8>, ReadView)> {
+        let kept_here = if self.keeps(view) { take_pixels(&mut loaded) } else { None };
+        let bytes = to_bytes(&Ok::<_, String>((&loaded, &look)))?;
+        match kept_here {
+            Some(photograph) => loaded.record.photograph = Some(photograph),
+            None => _ = take_pixels(&mut loaded),
+        }
+        Ok((bytes, (loaded, look)))
+    }
+
+    /// What stays here of a view that another process has read.
+    fn accept(&self, view: usize, (mut loaded, look): ReadView) -> Result<ReadView> {
+        let planned = &self.views[view];
+        if loaded.record.name != planned.name() {
+            return Err(other_data(planned.name()));
+        }
+        if !self.keeps(view) {
+            take_pixels(&mut loaded);
+        }
+        loaded.share_tables(planned);
+        Ok((loaded, look))
+    }
+}
+
+/// Takes the photograph of a view out, and leaves what is known of it beside its pixels.
+fn take_pixels(view: &mut LoadedView) -> Option<Photograph> {
+    let photograph = view.record.photograph.as_mut()?;
+    let rest = photograph.without_its_pixels();
+    Some(std::mem::replace(photograph, rest))
+}
+
+/// What `read` makes of each of some items: a share of them is read here, and what others have read goes through `accept`. `send` says what bytes these get,
+/// and what stays here.
 ///
 /// What one process cannot read, the others try to, so that all end with the error of the first such item.
 fn exchange<T: Serialize + DeserializeOwned + Send>(
     items: Range<usize>,
     ranks: &Ranks,
     read: impl Fn(usize) -> Result<T> + Sync + Send,
+    send: impl Fn(usize, T) -> Result<(Vec<u8>, T)> + Sync + Send,
     accept: impl Fn(usize, T) -> Result<T> + Sync + Send,
 ) -> Result<Vec<T>> {
     let share = ranks.share(items.len(), 1);
     let own = items.start + share.start..items.start + share.end;
-    let packed = |item: usize| {
-        let value = read(item);
-        Ok((to_bytes(&value.as_ref().map_err(Error::to_string))?, value))
+    let packed = |item: usize| match read(item) {
+        Ok(value) => send(item, value).map(|(bytes, value)| (bytes, Ok(value))),
+        Err(error) => Ok((to_bytes(&Err::<T, _>(error.to_string()))?, Err(error))),
     };
     let packed: Vec<Result<(Vec<u8>, Result<T>)>> = own.clone().into_par_iter().map(packed).collect();
     let packed: Vec<(Vec<u8>, Result<T>)> = packed.into_iter().collect::<Result<_>>()?;
@@ -179,9 +230,10 @@ mod tests {
             let accept = |item: usize, text: String| {
                 if item < accepted { Ok(text) } else { Err(other_data(&text)) }
             };
+            let send = |_, text: String| Ok((to_bytes(&Ok::<_, String>(&text))?, text));
             let mut all = Vec::new();
             for start in (0..count).step_by(4) {
-                all.extend(exchange(start..count.min(start + 4), &ranks, read, accept)?);
+                all.extend(exchange(start..count.min(start + 4), &ranks, read, send, accept)?);
             }
             Ok(all)
         };

@@ -7,6 +7,7 @@ use crate::pass::evaluate;
 use crate::pass::export;
 use crate::pass::files::read_late;
 use crate::pass::fit;
+use crate::pass::lend::{LentPhotographs, hand_to_first};
 use crate::pass::live::Snapshot;
 use crate::pass::progress::{Moment, RecordedMessages};
 use crate::pass::record::{RunRecord, RunState};
@@ -54,6 +55,7 @@ pub(super) fn run(
     }
     report.write(&session.out)?;
     for (index, pass) in session.scene.passes.iter().enumerate().skip(done) {
+        hand_to_first(session, index)?;
         if session.leave_to_first(index) {
             // A signal from now on is for the first process.
             return unfinished.first.map_or(Ok(()), Err);
@@ -67,7 +69,9 @@ pub(super) fn run(
             continue;
         }
         record.pass(index, RunState::Running, Vec::new())?;
+        let lent = LentPhotographs::borrow(session, index)?;
         let state = unfinished.carry_out(session, index, pass);
+        lent.give_back(session);
         let _after = profile::stage("scores, report, checkpoint");
         let recorded = record.pass(index, state, told.take()).and_then(|()| write_scored(session, report));
         if unfinished.ends_all || recorded.is_err() {

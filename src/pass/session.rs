@@ -239,13 +239,19 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Divides nothing any more if pass `index` comes after all fits, in which every process has a share. Returns whether this process then leaves it to the first
-    /// one.
+    /// Whether pass `index` comes after all fits, in which every process has a share.
+    pub(super) fn is_after_fits(&self, index: usize) -> bool {
+        !self.scene.passes[index..].iter().any(|pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_)))
+    }
+
+    /// The processes that share the work, as long as all do alike.
+    pub(super) fn sharing_ranks(&self) -> Option<&Ranks> {
+        self.ranks.as_ref().filter(|_| self.held_stops.is_some())
+    }
+
+    /// Divides nothing any more if pass `index` comes after all fits. Returns whether this process then leaves it to the first one.
     pub(super) fn leave_to_first(&mut self, index: usize) -> bool {
-        let fits = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_));
-        let Some(ranks) = self.ranks.as_ref().filter(|_| !self.scene.passes[index..].iter().any(fits)) else {
-            return false;
-        };
+        let Some(ranks) = self.ranks.as_ref().filter(|_| self.is_after_fits(index)) else { return false };
         self.pipeline.remove_plugin::<AllReducePlugin>();
         self.held_stops = None;
         ranks.rank() > 0
@@ -253,8 +259,7 @@ impl<'a> Session<'a> {
 
     /// Stops now if another process was asked to, as long as all do alike.
     pub(super) fn agree_on_stop(&self) -> Result<()> {
-        let ranks = self.ranks.as_ref().filter(|_| self.held_stops.is_some());
-        ranks.map_or(Ok(false), Ranks::any_stops).map(|_| ())
+        self.sharing_ranks().map_or(Ok(false), Ranks::any_stops).map(|_| ())
     }
 
     /// The frame in which the scene's own light stands still; `None` if a fit is to find it.

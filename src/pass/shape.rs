@@ -168,7 +168,7 @@ fn found_mesh(session: &mut Session, pass: &ShapePass, surface: &SdfSurface, sto
     // Colors of different exposures, or lights, are no reflections.
     let differ = exposures_differ(session) || !session.scene.views.other_lights().is_empty();
     if pass.normals && !differ && !stopped && !is_stopping() {
-        session.placed.normals = match_reflections(session, &pass.name, &mut mesh);
+        session.placed.normals = match_reflections(session, &pass.name, &mut mesh)?;
     }
     Ok(mesh)
 }
@@ -306,7 +306,7 @@ fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) -> Result<boo
 }
 
 /// Gives the vertices the normals that explain what they mirror, if that is worth it; says what came of it and returns whether it was.
-fn match_reflections(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
+fn match_reflections(session: &mut Session, name: &str, mesh: &mut Mesh) -> Result<bool> {
     let start = Instant::now();
     let _matching = stage("normals");
     let bar = session.progress.bar(name, mirror_rounds() as u64);
@@ -314,10 +314,10 @@ fn match_reflections(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool
         bar.set_position(round as u64);
         bar.set_message("normals".into());
         if is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    });
+    })?;
     bar.finish_and_clear();
     if is_stopping() {
-        return false;
+        return Ok(false);
     }
     let is_used = report.turned_degrees > 0.0;
     let found = match report.error.map(|error| 100.0 * error) {
@@ -332,7 +332,7 @@ fn match_reflections(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool
     };
     let seconds = start.elapsed().as_secs_f64();
     session.progress.print(&format!("{name}: normals by reflections in {seconds:.1} s, {found}"));
-    is_used
+    Ok(is_used)
 }
 
 /// Gives the mesh texture coordinates for `texture_size` texels a side, or for more if its charts do not fit: what was found is not lost

@@ -31,7 +31,7 @@ pub(super) fn add_photographs(
     cameras: &mut [PageCamera],
     most: usize,
 ) -> Result<usize> {
-    let chosen = chosen(world, views, cameras, most);
+    let chosen = chosen_photographs(world, views, cameras, most);
     let side = side_within(chosen.len(), BUDGET);
     let (mut bytes, mut count) = (0, 0);
     for place in chosen {
@@ -48,7 +48,12 @@ pub(super) fn add_photographs(
 }
 
 /// The places of the views whose photographs are shown: of those held out as many as may be, then training views.
-fn chosen(world: &World, views: &[Entity], cameras: &[PageCamera], most: usize) -> Vec<usize> {
+pub(super) fn chosen_photographs(
+    world: &World,
+    views: &[Entity],
+    cameras: &[PageCamera],
+    most: usize,
+) -> Vec<usize> {
     let of = |split: Split| -> Vec<usize> {
         let is_there = |view: Entity| {
             let own =

@@ -1,9 +1,11 @@
 //! The processes that work on one fit, and what they say to each other.
 //!
-//! Work on many items is divided in shares of whole chunks ([`share`]); each process does its own, and all get all.
+//! Work on many items is divided in shares of whole chunks ([`share`]); each process does its own, and all get all. What only one process has is worked on by
+//! that one ([`owned`]).
 
 #[cfg(feature = "mpi")]
 pub mod mpi;
+pub mod owned;
 pub(crate) mod packed;
 pub mod threads;
 

@@ -2,7 +2,7 @@
 
 use crate::math::ray::Ray;
 use crate::math::shading::{Layers, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint};
-use crate::sample::pixel::{Observed, PixelOf, SampleIndex, ViewRay};
+use crate::sample::pixel::{ImageGradient, Observed, PixelOf, SampleIndex, ViewRay};
 use crate::sample::point::{PointBlend, SurfacePoint};
 use bevy_ecs::prelude::{Bundle, Entity, With, World};
 
@@ -50,6 +50,8 @@ pub struct FitSample {
     pub frame: FrameSample,
     /// The radiance in the photograph.
     pub observed: Observed,
+    /// How the photograph changes around it.
+    pub gradient: ImageGradient,
     /// Adjoint of the radiance.
     pub adjoint: RadianceAdjoint,
     /// Adjoint of the point's inputs.
@@ -62,6 +64,7 @@ impl FitSample {
         Self {
             frame: FrameSample::blank(index, ray),
             observed: Observed::default(),
+            gradient: ImageGradient::default(),
             adjoint: RadianceAdjoint::default(),
             back: PointAdjoint::default(),
         }

@@ -1,7 +1,7 @@
 //! Observed pixels: what a fit compares with. Their pool holds all pixels that a fit may visit; the pool of samples holds those of one step.
 
 use crate::pipeline::pool::{Pool, despawn_rows, pool_index};
-use crate::sample::pixel::{Observed, PixelOf};
+use crate::sample::pixel::{ImageGradient, Observed, PixelOf};
 use crate::sample::point::SurfacePoint;
 use bevy_ecs::prelude::{Component, Entity, Resource, With, World};
 use std::ops::Range;
@@ -18,6 +18,8 @@ pub struct Observation {
     pub pixel: PixelOf,
     /// The radiance in the photograph.
     pub observed: Observed,
+    /// How the photograph changes around it.
+    pub gradient: ImageGradient,
     /// The surface point of its ray when the fit began.
     pub point: SurfacePoint,
 }

@@ -4,7 +4,8 @@ use crate::math::ray::Ray;
 use crate::pipeline::pool::pool_index;
 use crate::view::ViewIndex;
 use bevy_ecs::prelude::{Component, Resource};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 pool_index! {
@@ -13,7 +14,7 @@ pool_index! {
 }
 
 /// The pixel that a sample belongs to.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PixelOf {
     /// The view.
     pub view: ViewIndex,
@@ -22,13 +23,18 @@ pub struct PixelOf {
 }
 
 /// Linear radiance of the photograph there.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Observed {
     /// The stored value.
     pub radiance: Vec3,
     /// Whether a channel is at the largest storable value: the stored value is then a lower bound of that channel.
     pub saturated: bool,
 }
+
+/// How the mean radiance of the photograph changes there along x and y, per pixel; `None` where a neighbor is not fully covered by the object, or
+/// saturated.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ImageGradient(pub Option<Vec2>);
 
 /// A channel of a saturated pixel with at least this value is clipped.
 pub(crate) const SATURATION: f32 = 0.999;

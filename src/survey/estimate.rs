@@ -2,7 +2,7 @@
 //!
 //! | part | memory | time of one thread |
 //! | --- | --- | --- |
-//! | photographs | pixels around the object × `PHOTOGRAPH_BYTES` | pixels × `DECODE_NANOS` |
+//! | photographs | pixels around the object × (`PHOTOGRAPH_BYTES` + `MASK_BYTES`); of several processes in the first one, which keeps those of test views, and a share of the others | pixels × `DECODE_NANOS` |
 //! | texels | texels × `TEXEL_BYTES` | |
 //! | `Fit` | `FIT_BYTES` + pixels in the pool × `POOL_BYTES` + texels × `FIT_TEXEL_BYTES` | steps × batch, half of it before the first milestone, × lobes × `FIT_PAIR_NANOS` + pixels in the pool × `FIT_START_NANOS` |
 //! | `Fit(detail: true)` | the same + `DETAIL_BYTES` + pixels × `DETAIL_PIXEL_BYTES` | three times as long + pixels × `DETAIL_PIXEL_NANOS` |
@@ -24,8 +24,8 @@ use crate::fit::schedule::EARLY;
 use crate::math::statistics::median;
 use crate::sample::observation::{Observation, ObservationIndex};
 use crate::scene::{
-    FitPass, GridLevel, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface,
-    ViewChoice, Views, Visibility,
+    FitPass, GridLevel, Light, LightSource, Pass, RenderSettings, Scene, Score, Shading, ShapePass, Surface,
+    Truth, ViewChoice, Views, Visibility,
 };
 use crate::shade::frame::{denoised_frame_bytes, frame_bytes};
 use crate::survey::look::{PixelBounds, ViewLook};
@@ -34,9 +34,11 @@ use crate::view::Split;
 use crate::visibility::VisibilitySettings;
 use serde::Serialize;
 
-/// Bytes of a pixel of a photograph and its mask in memory, in the rectangle around the object: 8-bit colors, alpha and coverage.
-/// Downscaled and undistorted photographs and EXR take half floats, two or three bytes more.
-pub(crate) const PHOTOGRAPH_BYTES: f64 = 6.0;
+/// Bytes of a pixel of a photograph in memory, in the rectangle around the object: 8-bit colors, and flags. Downscaled and undistorted photographs and EXR
+/// take half floats, two or three bytes more, and so does an alpha that is not the mask.
+pub(crate) const PHOTOGRAPH_BYTES: f64 = 4.2;
+/// Bytes of a pixel of a mask in memory; the alpha of a photograph is the same memory.
+pub(crate) const MASK_BYTES: f64 = 1.0;
 /// Bytes of a pixel of a prior map in memory: three half floats.
 const MAP_BYTES: f64 = 6.0;
 /// Bytes of a pixel of a silhouette in memory: its signed distance as a half float.
@@ -171,9 +173,25 @@ pub(crate) fn duration(seconds: f64) -> String {
 /// Part of the width that a level's cells must have in photographs from which on it counts: the grid is not exactly as wide as the object.
 const NEARLY: f32 = 0.9;
 
-/// What the passes of `scene` will take on `threads` threads, for these views.
-pub fn estimate(looks: &[ViewLook], scene: &Scene, threads: usize) -> Estimate {
-    let task = Task { looks, scene, threads: threads.max(1) };
+/// What carries out a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Workers {
+    /// Threads of a process; at least one.
+    pub threads: usize,
+    /// Processes that share the photographs; at least one.
+    pub processes: usize,
+}
+
+impl Workers {
+    /// One process with these threads.
+    pub fn threads(threads: usize) -> Self {
+        Self { threads: threads.max(1), processes: 1 }
+    }
+}
+
+/// What the passes of `scene` will take for these views, memory in the first process.
+pub fn estimate(looks: &[ViewLook], scene: &Scene, workers: Workers) -> Estimate {
+    let task = Task { looks, scene, workers };
     let mut parts = vec![task.photographs(), task.part("texels", TEXEL_BYTES * task.texels(), 0.0, true)];
     parts.extend(task.shadows());
     for pass in &scene.passes {
@@ -187,12 +205,12 @@ pub fn estimate(looks: &[ViewLook], scene: &Scene, threads: usize) -> Estimate {
             other => other.render().map(|render| task.render(other.name(), render)),
         });
     }
-    Estimate { parts, threads: task.threads }
+    Estimate { parts, threads: workers.threads }
 }
 
 /// Bytes that the passes of `scene` will write at least.
 pub(crate) fn written_bytes(looks: &[ViewLook], scene: &Scene) -> f64 {
-    let task = Task { looks, scene, threads: 1 };
+    let task = Task { looks, scene, workers: Workers::threads(1) };
     let of_pass = |pass: &Pass| match pass {
         Pass::Save(_) => SAVED_TEXEL_BYTES * task.texels(),
         other => other.render().map_or(0.0, |render| {
@@ -205,7 +223,17 @@ pub(crate) fn written_bytes(looks: &[ViewLook], scene: &Scene) -> f64 {
 struct Task<'a> {
     looks: &'a [ViewLook],
     scene: &'a Scene,
-    threads: usize,
+    workers: Workers,
+}
+
+/// Whether a pass renders a view.
+fn is_chosen(look: &ViewLook, render: &RenderSettings) -> bool {
+    match &render.views {
+        ViewChoice::Test => look.split == Split::Test,
+        ViewChoice::Train => look.split == Split::Train,
+        ViewChoice::All => true,
+        ViewChoice::Named(names) => names.contains(&look.name),
+    }
 }
 
 fn pixels(look: &ViewLook) -> f64 {
@@ -235,7 +263,12 @@ fn object_pixels(look: &ViewLook) -> f64 {
 
 impl Task<'_> {
     fn part(&self, what: &str, bytes: f64, nanos: f64, stays: bool) -> PartEstimate {
-        PartEstimate { what: what.to_owned(), bytes, seconds: nanos * 1e-9 / self.threads as f64, stays }
+        PartEstimate {
+            what: what.to_owned(),
+            bytes,
+            seconds: nanos * 1e-9 / self.workers.threads as f64,
+            stays,
+        }
     }
 
     fn lobes(&self) -> f64 {
@@ -271,12 +304,30 @@ impl Task<'_> {
         let photographs = || self.looks.iter().filter(|look| look.light.is_some());
         let kept: f64 = photographs().map(window_pixels).sum();
         let read: f64 = photographs().map(pixels).sum();
-        let bytes = match self.scene.surface {
-            Surface::Unknown { .. } => PHOTOGRAPH_BYTES + SILHOUETTE_BYTES,
-            _ => PHOTOGRAPH_BYTES,
+        let shared: f64 = photographs().filter(|look| !self.is_compared(look)).map(window_pixels).sum();
+        let elsewhere = shared * (1.0 - 1.0 / self.workers.processes as f64);
+        let silhouettes = match self.scene.surface {
+            Surface::Unknown { .. } => SILHOUETTE_BYTES,
+            _ => 0.0,
         };
         let maps = f64::from(self.maps_of_a_photograph());
-        self.part("photographs", kept * (bytes + MAP_BYTES * maps), read * DECODE_NANOS * (1.0 + maps), true)
+        let bytes =
+            PHOTOGRAPH_BYTES * (kept - elsewhere) + kept * (MASK_BYTES + silhouettes + MAP_BYTES * maps);
+        self.part("photographs", bytes, read * DECODE_NANOS * (1.0 + maps), true)
+    }
+
+    /// Whether one process looks at the whole photograph of a view: of all those held out, and of others that renders are compared with.
+    fn is_compared(&self, look: &ViewLook) -> bool {
+        let scores = self.scene.passes.iter().filter_map(|pass| match pass {
+            Pass::Evaluate(evaluate) => Some(&evaluate.scores),
+            _ => None,
+        });
+        let compares = |score: &Score| {
+            let rendered = self.scene.passes.iter().find(|pass| pass.name() == score.pass);
+            let settings = rendered.and_then(Pass::render).filter(|_| score.truth == Truth::Photographs);
+            settings.is_some_and(|settings| is_chosen(look, settings))
+        };
+        look.split == Split::Test || scores.flatten().any(compares)
     }
 
     fn shadows(&self) -> Option<PartEstimate> {
@@ -359,13 +410,7 @@ impl Task<'_> {
 
     /// The views that a pass renders.
     fn chosen(&self, render: &RenderSettings) -> Vec<&ViewLook> {
-        let is_chosen = |look: &&ViewLook| match &render.views {
-            ViewChoice::Test => look.split == Split::Test,
-            ViewChoice::Train => look.split == Split::Train,
-            ViewChoice::All => true,
-            ViewChoice::Named(names) => names.contains(&look.name),
-        };
-        self.looks.iter().filter(is_chosen).collect()
+        self.looks.iter().filter(|look| is_chosen(look, render)).collect()
     }
 
     fn render(&self, name: &str, render: &RenderSettings) -> PartEstimate {

@@ -8,7 +8,9 @@
 //! | `glare` | pixels that are brighter than light can be |
 //! | [`prior_map`] | what somebody else says of albedo and normals in a photograph |
 //! | `raster` | box filtering, bilinear look-up, mask erosion |
-//! | [`stored`] | photographs and masks as they are kept: small, and cropped |
+//! | [`stored`] | photographs as they are kept: small, and cropped |
+//! | `stored_mask` | masks as they are kept |
+//! | `window` | rectangles of pictures |
 //!
 //! [`dataset`](crate::dataset) reads folders of posed photographs as [`ViewRecord`]s, [`codec::image`](crate::codec::image) single
 //! images and masks.
@@ -29,15 +31,19 @@
 pub mod camera;
 pub(crate) mod glare;
 mod image;
-mod numbers;
+pub(crate) mod numbers;
 pub mod prior_map;
 pub(crate) mod raster;
 pub mod stored;
+mod stored_mask;
+mod window;
 
 pub use camera::{Camera, CameraOrbit};
 pub use image::{Image, Mask};
 pub use prior_map::{AlbedoMap, NormalMap, ViewPriors};
-pub use stored::{Photograph, PixelWindow, StoredMask};
+pub use stored::Photograph;
+pub use stored_mask::StoredMask;
+pub use window::PixelWindow;
 
 use crate::{Error, Result};
 use bevy_ecs::prelude::Component;

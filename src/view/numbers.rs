@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Numbers in as few bytes as hold them.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum Numbers {
     /// Places in a table.
     Bytes(#[serde(with = "packed")] Vec<u8>, #[serde(with = "packed")] Arc<[f32]>),
@@ -85,7 +85,7 @@ pub(super) fn tight<T>(values: impl Iterator<Item = T>) -> Vec<T> {
 }
 
 /// Lists of numbers as one piece of bytes, for `#[serde(with = "packed")]`: serializers copy it at once. In the byte order of the machine.
-pub(super) mod packed {
+pub(crate) mod packed {
     use bytemuck::{Pod, cast_slice, pod_collect_to_vec};
     use serde::de::{Error, Visitor};
     use serde::{Deserializer, Serializer};

@@ -2,7 +2,7 @@
 
 use crate::view::image::Image;
 use crate::view::numbers::packed;
-use crate::view::stored::PixelWindow;
+use crate::view::window::PixelWindow;
 use bevy_ecs::prelude::{Component, World};
 use glam::Vec3;
 use half::f16;

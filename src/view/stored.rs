@@ -1,87 +1,15 @@
-//! Photographs and masks as they are kept: in the bytes of their files where those are 8-bit, as half floats where these hold the values, and only
+//! Photographs as they are kept: in the bytes of their files where those are 8-bit, as half floats where these hold the values, and only
 //! inside a window, since most photographs are mostly background.
 
 use crate::error::{Error, Result};
-use crate::view::image::{Image, Mask};
+use crate::view::image::Image;
 use crate::view::numbers::{Numbers, packed, tight};
+use crate::view::stored_mask::StoredMask;
+use crate::view::window::PixelWindow;
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-
-/// A rectangle of a picture, in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct PixelWindow {
-    /// First column.
-    pub x: u32,
-    /// First row.
-    pub y: u32,
-    /// Number of columns.
-    pub width: u32,
-    /// Number of rows.
-    pub height: u32,
-}
-
-impl PixelWindow {
-    /// The whole of a picture.
-    pub fn whole(width: u32, height: u32) -> Self {
-        Self { x: 0, y: 0, width, height }
-    }
-
-    /// The smallest window with all pixels of a mask that are covered at all; of an empty mask nothing.
-    pub fn of_mask(mask: &Mask) -> Self {
-        let (mut low, mut high) = ([u32::MAX; 2], [0; 2]);
-        let width = mask.width.max(1) as usize;
-        for (y, row) in (0..).zip(mask.coverage.chunks(width)) {
-            let first = row.iter().position(|coverage| *coverage > 0.0);
-            let last = row.iter().rposition(|coverage| *coverage > 0.0);
-            if let (Some(first), Some(last)) = (first, last) {
-                low = [low[0].min(first as u32), low[1].min(y)];
-                high = [high[0].max(last as u32 + 1), y + 1];
-            }
-        }
-        let low = [low[0].min(high[0]), low[1].min(high[1])];
-        Self { x: low[0], y: low[1], width: high[0] - low[0], height: high[1] - low[1] }
-    }
-
-    /// Squares of `side` pixels that make up the window; smaller ones where it ends. `side` ≥ 1.
-    pub fn squares(self, side: u32) -> impl Iterator<Item = Self> {
-        let starts = move |count: u32| (0..count).step_by(side as usize);
-        let places =
-            starts(self.height).flat_map(move |down| starts(self.width).map(move |across| (across, down)));
-        places.map(move |(across, down)| Self {
-            x: self.x + across,
-            y: self.y + down,
-            width: side.min(self.width - across),
-            height: side.min(self.height - down),
-        })
-    }
-
-    /// Number of pixels.
-    pub fn len(&self) -> usize {
-        self.width as usize * self.height as usize
-    }
-
-    /// Whether there is no pixel in it.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// Place in the window of pixel `y * picture_width + x` of the picture; `None` outside.
-    #[inline]
-    pub fn place(&self, pixel: usize, picture_width: u32) -> Option<usize> {
-        let (x, y) = ((pixel % picture_width as usize) as u32, (pixel / picture_width as usize) as u32);
-        let (x, y) = (x.wrapping_sub(self.x), y.wrapping_sub(self.y));
-        (x < self.width && y < self.height).then(|| y as usize * self.width as usize + x as usize)
-    }
-
-    /// The pixels of the picture in it, as `y * picture_width + x`, row by row.
-    pub fn pixels(self, picture_width: u32) -> impl Iterator<Item = usize> + Clone {
-        let columns = move |y: u32| (self.x..self.x + self.width).map(move |x| (x, y));
-        let cells = (self.y..self.y + self.height).flat_map(columns);
-        cells.map(move |(x, y)| y as usize * picture_width as usize + x as usize)
-    }
-}
 
 /// Flags, eight in a byte.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -144,10 +72,12 @@ pub struct Photograph {
     channels: usize,
     color: Numbers,
     /// What colors are multiplied by; 1 if there is none.
-    alpha: Option<Numbers>,
+    alpha: Option<Arc<Numbers>>,
     saturated: Flags,
     /// The greatest of `color`.
     highest: f32,
+    /// Rank of the only process with its pixels; `None` if all have them.
+    keeper: Option<u32>,
 }
 
 impl Photograph {
@@ -180,7 +110,7 @@ impl Photograph {
     fn of_numbers(width: u32, height: u32, color: Numbers) -> Self {
         let (window, saturated) = (PixelWindow::whole(width, height), Flags(Vec::new()));
         let highest = color.highest();
-        Self { width, height, window, channels: 3, color, alpha: None, saturated, highest }
+        Self { width, height, window, channels: 3, color, alpha: None, saturated, highest, keeper: None }
     }
 
     /// The place of a photograph whose pixels nobody looks at: black.
@@ -217,10 +147,31 @@ impl Photograph {
         let mut color = inside().flat_map(|pixel| (0..colors).map(move |channel| color_of(pixel, channel)));
         let color = pack(curve.color.clone(), &mut color);
         let mut alpha = inside().map(|pixel| stored(pixel * channels + colors));
-        let alpha = (channels > colors).then(|| pack(curve.alpha.clone(), &mut alpha));
+        let alpha = (channels > colors).then(|| Arc::new(pack(curve.alpha.clone(), &mut alpha)));
         let saturated = Flags::of(inside().map(is_saturated));
         let whole = Self::of_numbers(width, height, color);
         Self { window, channels: colors, alpha, saturated, ..whole }
+    }
+
+    /// The same photograph without its pixels, which another process keeps ([`Photograph::keeper`]): to ask for one inside the window panics.
+    pub fn without_its_pixels(&self) -> Self {
+        let none = Numbers::of(std::iter::empty(), false);
+        Self { color: none, alpha: None, saturated: Flags(Vec::new()), ..*self }
+    }
+
+    /// Whether its pixels are in the memory of this process.
+    pub fn has_pixels(&self) -> bool {
+        self.window.is_empty() || self.color.bytes() > 0
+    }
+
+    /// Rank of the process that keeps its pixels for all; `None` if each process has them.
+    pub fn keeper(&self) -> Option<u32> {
+        self.keeper
+    }
+
+    /// Says which process keeps its pixels for all.
+    pub fn set_keeper(&mut self, rank: u32) {
+        self.keeper = Some(rank);
     }
 
     /// How many values the integers of its file can have; `None` if it is kept as floats.
@@ -231,8 +182,17 @@ impl Photograph {
     /// Shares the tables of a curve that are equal to its own, as photographs do that were made with it: one that was serialized has tables of its own.
     pub fn share(&mut self, curve: &Curve) {
         self.color.share(&curve.color);
-        if let Some(alpha) = &mut self.alpha {
+        if let Some(alpha) = self.alpha.as_mut().and_then(Arc::get_mut) {
             alpha.share(&curve.alpha);
+        }
+    }
+
+    /// Shares the memory of a mask that is its own alpha.
+    pub fn share_alpha(&mut self, mask: &StoredMask) {
+        if let Some(alpha) = self.alpha.as_mut().filter(|_| self.window == mask.window())
+            && **alpha == **mask.numbers()
+        {
+            *alpha = mask.numbers().clone();
         }
     }
 
@@ -281,75 +241,14 @@ impl Photograph {
 
     /// Memory that it takes, in bytes.
     pub fn bytes(&self) -> usize {
-        self.color.bytes() + self.alpha.as_ref().map_or(0, Numbers::bytes) + self.saturated.0.len()
-    }
-}
-
-/// A mask as it is kept. A clone shares its memory.
-///
-/// Pixels are numbered `y * width + x`. Outside its window the coverage is 0.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct StoredMask {
-    width: u32,
-    height: u32,
-    window: PixelWindow,
-    /// Shared by clones.
-    coverage: Arc<Numbers>,
-}
-
-impl StoredMask {
-    /// Keeps a mask: one with values k/255 in bytes, others as half floats.
-    pub fn new(mask: &Mask) -> Self {
-        let window = PixelWindow::of_mask(mask);
-        let values = window.pixels(mask.width).map(|i| mask.coverage[i]);
-        let table: Arc<[f32]> = (0..=255u8).map(|v| f32::from(v) / 255.0).collect();
-        let nearest = |coverage: f32| (coverage * 255.0).round() as u8;
-        let coverage = if values.clone().all(|c| table[usize::from(nearest(c))] == c) {
-            Numbers::Bytes(tight(values.map(nearest)), table)
-        } else {
-            Numbers::of(values, true)
-        };
-        Self { width: mask.width, height: mask.height, window, coverage: Arc::new(coverage) }
-    }
-
-    /// Width and height of the picture in pixels.
-    pub fn size(&self) -> [u32; 2] {
-        [self.width, self.height]
-    }
-
-    /// The part that holds all covered pixels.
-    pub fn window(&self) -> PixelWindow {
-        self.window
-    }
-
-    /// Whether every pixel is covered by half or more.
-    pub fn is_full(&self) -> bool {
-        let pixels = self.width as usize * self.height as usize;
-        self.window.len() == pixels && (0..pixels).all(|i| self.coverage.get(i) >= 0.5)
-    }
-
-    /// Coverage of a pixel, in `[0, 1]`.
-    #[inline]
-    pub fn coverage(&self, pixel: usize) -> f32 {
-        self.window.place(pixel, self.width).map_or(0.0, |at| self.coverage.get(at))
-    }
-
-    /// The whole mask.
-    pub fn mask(&self) -> Mask {
-        let mut coverage = vec![0.0; self.width as usize * self.height as usize];
-        self.window.pixels(self.width).for_each(|i| coverage[i] = self.coverage(i));
-        Mask { width: self.width, height: self.height, coverage }
-    }
-
-    /// Memory that it takes, in bytes.
-    pub fn bytes(&self) -> usize {
-        self.coverage.bytes()
+        self.color.bytes() + self.alpha.as_ref().map_or(0, |alpha| alpha.bytes()) + self.saturated.0.len()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::view::Mask;
 
     fn picture(value: impl Fn(usize) -> f32) -> Image {
         Image { width: 5, height: 4, pixels: (0..20).map(|i| Vec3::new(value(i), 0.5, 2.0)).collect() }
@@ -357,17 +256,6 @@ mod tests {
 
     fn middle() -> PixelWindow {
         PixelWindow { x: 1, y: 1, width: 3, height: 2 }
-    }
-
-    #[test]
-    fn squares_hold_each_pixel_of_a_window_once() {
-        let window = PixelWindow { x: 3, y: 5, width: 10, height: 7 };
-        for side in [1, 4, 7, 100] {
-            let mut pixels: Vec<usize> = window.squares(side).flat_map(|square| square.pixels(40)).collect();
-            pixels.sort_unstable();
-            assert_eq!(pixels, window.pixels(40).collect::<Vec<_>>(), "{side}");
-        }
-        assert_eq!(PixelWindow { width: 0, ..window }.squares(4).count(), 0);
     }
 
     #[test]
@@ -394,6 +282,36 @@ mod tests {
         assert!((rounded.radiance(3).x / 0.1 - 1.0).abs() < 1.0 / 2048.0);
         let bright = picture(|_| 1e6);
         assert_eq!(Photograph::new(&bright, &[false; 20], whole, true).unwrap().radiance(0).x, 1e6);
+    }
+
+    #[test]
+    fn a_mask_that_is_the_alpha_of_a_photograph_shares_its_memory() {
+        let curve = Curve::new((0..=255).map(|v| v as f32 / 255.0).collect());
+        let bytes: Vec<u8> = (0..80).map(|i| 3 * i).collect();
+        let of = |bytes| Photograph::of_integers([5, 4], IntegerSamples::Bytes(bytes), 4, &curve, middle());
+        let inside: Vec<usize> = middle().pixels(5).collect();
+        let coverage = |i| if inside.contains(&i) { f32::from(bytes[4 * i + 3]) / 255.0 } else { 0.0 };
+        let mut mask = Mask { width: 5, height: 4, coverage: (0..20).map(coverage).collect() };
+        for is_alike in [true, false] {
+            let (mut kept, before) = (of(&bytes), of(&bytes));
+            let stored = StoredMask::new(&mask);
+            kept.share_alpha(&stored);
+            assert_eq!(Arc::ptr_eq(kept.alpha.as_ref().unwrap(), stored.numbers()), is_alike);
+            assert!((0..20).all(|i| kept.radiance(i) == before.radiance(i)));
+            mask.coverage[7] = 1.0;
+        }
+    }
+
+    #[test]
+    fn what_another_process_keeps_takes_no_memory_and_is_not_black() {
+        let mut kept = Photograph::of_image(&picture(|i| i as f32));
+        kept.set_keeper(3);
+        let elsewhere = kept.without_its_pixels();
+        assert_eq!((elsewhere.bytes(), elsewhere.has_pixels(), kept.has_pixels()), (0, false, true));
+        let told = |of: &Photograph| (of.keeper(), of.size(), of.window(), of.highest());
+        assert_eq!(told(&elsewhere), told(&kept));
+        assert!(std::panic::catch_unwind(|| elsewhere.radiance(7)).is_err());
+        assert!(Photograph::without_pixels(5, 4).has_pixels(), "there are none to keep");
     }
 
     #[test]
@@ -435,23 +353,5 @@ mod tests {
             assert_eq!((shared, found.levels()), (kept.levels().is_some(), kept.levels()));
         }
         assert!(postcard::from_bytes::<Flags>(&[3, 1, 2]).is_err(), "fewer bytes than said");
-    }
-
-    #[test]
-    fn masks_are_cropped_and_keep_their_values() {
-        let coverage = |i: usize| if [6, 8, 13].contains(&i) { 0.2 } else { 0.0 };
-        let mask = Mask { width: 5, height: 4, coverage: (0..20).map(coverage).collect() };
-        let kept = StoredMask::new(&mask);
-        assert_eq!((kept.window(), kept.bytes()), (middle(), 6));
-        assert_eq!(kept.mask(), mask);
-        let quarter = Mask { coverage: mask.coverage.iter().map(|c| c * 1.25).collect(), ..mask };
-        assert_eq!((StoredMask::new(&quarter).mask(), StoredMask::new(&quarter).bytes()), (quarter, 12));
-    }
-
-    #[test]
-    fn an_empty_mask_has_an_empty_window() {
-        let mask = Mask { width: 3, height: 2, coverage: vec![0.0; 6] };
-        assert!(PixelWindow::of_mask(&mask).is_empty());
-        assert_eq!(StoredMask::new(&mask).mask(), mask);
     }
 }

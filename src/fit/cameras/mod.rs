@@ -3,7 +3,7 @@
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
 //! | [`retrace_still_surface`] | Trace, `Slot::Retrace` | rays, `Scenery` | surface points; a moving surface has its own system |
-//! | [`align_photographs`] | Gradient, `Slot::CameraGradient` | points, radiance, photographs | [`CameraPose`]: normal equations |
+//! | [`align_photographs`] | Gradient, `Slot::CameraGradient` | points, radiance, observations | [`CameraPose`]: normal equations |
 //! | [`move_cameras`] | Update, `Slot::CameraUpdate` | normal equations | [`CameraPose`], cameras |
 //!
 //! The rays of a step are cast through the cameras as they are then ([`crate::fit::observe::take_observations`]).
@@ -18,14 +18,13 @@ use crate::fit::cameras::align::{
 use crate::fit::components::StepRates;
 use crate::fit::exposure::Exposures;
 use crate::fit::guard::{StepGuard, is_usable};
-use crate::fit::observe::FULL_COVERAGE;
 use crate::math::ray::Intersect;
 use crate::math::shading::Layers;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
 use crate::sample::Samples;
-use crate::sample::pixel::{Observed, PixelOf, ViewRay};
+use crate::sample::pixel::{ImageGradient, Observed, PixelOf, ViewRay};
 use crate::sample::point::{Scenery, SurfacePoint};
-use crate::view::{ByView, Camera, Photograph, ViewIndex, ViewMask, ViewName};
+use crate::view::{ByView, Camera, Photograph, ViewIndex, ViewName};
 use bevy_ecs::prelude::{Component, Entity, Mut, Query, Res, ResMut, Resource, With, World};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -214,15 +213,8 @@ pub(crate) fn retrace(
 }
 
 /// The columns of the samples that are compared with photographs.
-type AlignColumns = (&'static PixelOf, &'static SurfacePoint, &'static Layers, &'static Observed);
-/// The components of the views that are aligned.
-type AlignedViews = (
-    &'static ViewIndex,
-    &'static Camera,
-    &'static Photograph,
-    Option<&'static ViewMask>,
-    &'static mut CameraPose,
-);
+type AlignColumns =
+    (&'static PixelOf, &'static SurfacePoint, &'static Layers, &'static Observed, &'static ImageGradient);
 
 /// Gradient: adds the residuals of the window to the normal equations of the cameras.
 pub fn align_photographs(
@@ -230,18 +222,18 @@ pub fn align_photographs(
     exposures: Res<Exposures>,
     mut fit: ResMut<CameraFit>,
     mut guard: ResMut<StepGuard>,
-    mut views: Query<AlignedViews>,
+    mut views: Query<(&ViewIndex, &Camera, &mut CameraPose), With<Photograph>>,
     samples: Samples<AlignColumns>,
 ) -> SystemResult {
     if rates.step < FIRST_STEP {
         return Ok(());
     }
-    let (pixels, points, shaded, observed) = samples.columns()?;
+    let (pixels, points, shaded, observed, gradients) = samples.columns()?;
     let mut views: ByView<_> = views.iter_mut().map(|view| (*view.0, view)).collect();
     let center = fit.center.unwrap_or_else(|| middle(&points));
     let row = |i: usize| {
-        let (_, camera, photograph, mask, _) = views.of(pixels[i].view).ok()?;
-        let gradient = image_gradient(camera, photograph, *mask, pixels[i].pixel as usize)?;
+        let (_, camera, _) = views.of(pixels[i].view).ok()?;
+        let gradient = gradients[i].0?;
         let usable = points[i].is_hit() && !observed[i].saturated;
         let predicted = mean_exposed(exposures.factor(pixels[i].view), &shaded[i]);
         let residual = observed[i].radiance.element_sum() / 3.0 - predicted;
@@ -256,7 +248,7 @@ pub fn align_photographs(
     fit.center = Some(center);
     let noise = fit.observe(0, &rows);
     for (view, row) in &rows {
-        views.of_mut(*view)?.4.add(row, noise);
+        views.of_mut(*view)?.2.add(row, noise);
     }
     Ok(())
 }
@@ -281,26 +273,6 @@ fn middle(points: &[SurfacePoint]) -> Vec3 {
 /// Mean over the channels of the radiance of a photograph with these factors of exposure.
 fn mean_exposed(factors: Vec3, layers: &Layers) -> f32 {
     factors.dot(Vec3::from(layers.diffuse) + Vec3::from(layers.specular)) / 3.0
-}
-
-/// Gradient of the mean radiance of a photograph at a pixel, per pixel; `None` where a neighbor is not fully covered by the object, or saturated.
-fn image_gradient(
-    camera: &Camera,
-    photograph: &Photograph,
-    mask: Option<&ViewMask>,
-    pixel: usize,
-) -> Option<Vec2> {
-    let (width, height) = (camera.width as usize, camera.height as usize);
-    let (x, y) = (pixel % width, pixel / width);
-    if x == 0 || y == 0 || x + 1 == width || y + 1 == height {
-        return None;
-    }
-    let at = |i: usize| {
-        let whole = mask.is_none_or(|mask| mask.0.coverage(i) >= FULL_COVERAGE);
-        (whole && !photograph.is_saturated(i)).then(|| photograph.radiance(i).element_sum() / 3.0)
-    };
-    let along_x = 0.5 * (at(pixel + 1)? - at(pixel - 1)?);
-    Some(Vec2::new(along_x, 0.5 * (at(pixel + width)? - at(pixel - width)?)))
 }
 
 /// Update: every `MOVE_EVERY` steps, one Gauss–Newton step of all cameras; resets the sums.

@@ -5,8 +5,11 @@ use crate::material::sheen::grazing;
 use crate::material::tilt::DirectionalAlbedo;
 use crate::math::ray::TexelAddress;
 use crate::sample::pixel::Observed;
+use crate::view::numbers::packed;
+use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use half::f16;
+use serde::{Deserialize, Serialize};
 
 /// Residual relative to the radiance (and [`DARK`]) at which a pixel counts half.
 const TOLERATED: f32 = 1.0;
@@ -31,7 +34,8 @@ pub(crate) struct ShadedPixel {
 }
 
 /// A [`ShadedPixel`] in 40 bytes: numbers have 11 bits, places in a texel 16.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
 pub(crate) struct KeptPixel {
     /// The first texel of the upper and of the lower row.
     rows: [u32; 2],
@@ -42,8 +46,13 @@ pub(crate) struct KeptPixel {
     specular: [f16; 3],
     observed: [f16; 3],
     facing: f16,
-    saturated: bool,
+    /// 1 if it is, else 0.
+    saturated: u16,
 }
+
+/// Kept pixels, as processes send them.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct PackedPixels(#[serde(with = "packed")] pub Vec<KeptPixel>);
 
 impl From<ShadedPixel> for KeptPixel {
     fn from(pixel: ShadedPixel) -> Self {
@@ -58,7 +67,7 @@ impl From<ShadedPixel> for KeptPixel {
             specular: halves(pixel.specular),
             observed: halves(pixel.observed.radiance),
             facing: f16::from_f32(pixel.facing),
-            saturated: pixel.observed.saturated,
+            saturated: u16::from(pixel.observed.saturated),
         }
     }
 }
@@ -79,7 +88,7 @@ impl From<KeptPixel> for ShadedPixel {
             side: vector(kept.side),
             unit: vector(kept.unit),
             specular: vector(kept.specular),
-            observed: Observed { radiance: vector(kept.observed), saturated: kept.saturated },
+            observed: Observed { radiance: vector(kept.observed), saturated: kept.saturated != 0 },
         }
     }
 }

@@ -25,7 +25,7 @@ use crate::fit::components::TexelSeen;
 use crate::fit::exposure::Exposures;
 use crate::fit::groups::{exchange_light, groups_of_views};
 use crate::fit::metal::Metals;
-use crate::fit::observe::{Candidate, spawn_samples, usable_by_view, usable_pixels};
+use crate::fit::observe::{Candidate, UsableView, spawn_samples, usable_by_view, usable_pixels};
 use crate::light::lights::{LightChoice, provide_light};
 use crate::light::placement::LightGroup;
 use crate::material::material_source::Recovered;
@@ -38,6 +38,8 @@ use crate::math::shading::{ClosedForm, Layers, ShadePoint};
 use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
 use crate::profile::stage;
+use crate::ranks::Ranks;
+use crate::ranks::owned::{AT_A_TIME, OwnedItems};
 use crate::sample::Samples;
 use crate::sample::bundle::despawn_pool;
 use crate::sample::pixel::{Observed, PixelOf, ViewRay, Window};
@@ -50,7 +52,7 @@ use crate::visibility::systems::{gather_visibility, light_or_material_changed, r
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, With, World};
 use equations::{LEAST_COLOR, TexelEquations};
 use glam::Vec3;
-use kept::{KeptPixel, ShadedPixel, add_pixels};
+use kept::{KeptPixel, PackedPixels, ShadedPixel, add_pixels};
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 
@@ -153,54 +155,85 @@ pub(crate) fn finest_side(pixels: f64) -> f64 {
 }
 
 /// The pixels of the training photographs that are visited.
-pub(crate) fn visited_pixels(world: &mut World) -> usize {
-    let total: usize = usable_by_view(world).iter().map(|(_, count)| count).sum();
-    total / total.div_ceil(MOST_PIXELS).max(1)
+///
+/// # Errors
+/// If another process is gone.
+pub(crate) fn visited_pixels(world: &mut World) -> Result<usize> {
+    let total: usize = usable_by_view(world)?.iter().map(|of| of.pixels).sum();
+    Ok(total / total.div_ceil(MOST_PIXELS).max(1))
 }
 
 /// Shades all pixels as if the surface were white, and keeps them.
 fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<()> {
     let groups = groups_of_views(&mut pipeline.world);
-    let group_of = |view: ViewIndex| groups.get(view).copied().unwrap_or_default();
-    let mut views = usable_by_view(&mut pipeline.world);
+    let group_of = |of: &UsableView| groups.get(of.view).copied().unwrap_or_default();
+    let mut views = usable_by_view(&mut pipeline.world)?;
     // Shadows are found once for the light of each group.
-    views.sort_by_key(|(view, _)| group_of(*view));
-    let total: usize = views.iter().map(|(_, count)| count).sum();
+    views.sort_by_key(group_of);
+    let total: usize = views.iter().map(|of| of.pixels).sum();
     let every = total.div_ceil(MOST_PIXELS).max(1);
     // As many as there may be, so that growing never copies them.
-    let most = views.iter().map(|(_, count)| count.div_ceil(every)).sum();
-    pipeline.world.insert_resource(KeptPixels(Vec::with_capacity(most)));
+    let most = views.iter().map(|of| of.pixels.div_ceil(every)).sum();
+    let mut kept = Vec::with_capacity(most);
     let mut done = 0;
-    for of_group in views.chunk_by(|(a, _), (b, _)| group_of(*a) == group_of(*b)) {
-        let group = of_group.first().map_or(LightGroup::OWN, |(view, _)| group_of(*view));
+    for of_group in views.chunk_by(|a, b| group_of(a) == group_of(b)) {
+        let group = of_group.first().map_or(LightGroup::OWN, group_of);
         exchange_light(&mut pipeline.world, group);
-        let shaded = of_group.iter().try_for_each(|(view, _)| {
+        let shaded = shade_group(pipeline, of_group, every, &mut |mut of_views| {
+            kept.append(&mut of_views);
             done += 1;
-            if is_stopping() {
-                return Ok(());
-            }
-            shade_view(pipeline, *view, every)?;
             watch(done as f32 / views.len() as f32);
-            Ok(())
         });
         exchange_light(&mut pipeline.world, group);
         shaded?;
     }
+    pipeline.world.resource_mut::<KeptPixels>().0 = kept;
     Ok(())
 }
 
-/// Shades every n-th pixel of a view; leaves the rest out once the run is stopped.
-fn shade_view(pipeline: &mut Pipeline, view: ViewIndex, every: usize) -> Result<()> {
-    let pixels = usable_pixels(&mut pipeline.world, view, every);
-    for part in pixels.chunks(BATCH) {
-        if is_stopping() {
-            break;
+/// Shades every n-th pixel of views under one light, of each process those whose photographs it keeps, and hands what is kept of each view to `take`. Leaves the
+/// rest out once the run is stopped.
+fn shade_group(
+    pipeline: &mut Pipeline,
+    views: &[UsableView],
+    every: usize,
+    take: &mut dyn FnMut(Vec<KeptPixel>),
+) -> Result<()> {
+    let Some(ranks) = pipeline.world.get_resource::<Ranks>().cloned() else {
+        for of in views {
+            take(shade_view(pipeline, of.view, every)?);
         }
-        pipeline.world.resource_mut::<Window>().0 = 0..part.len();
-        pipeline.world.resource_mut::<PresentPixels>().0 = part.to_vec();
-        pipeline.run(Phase::Detail)?;
+        return Ok(());
+    };
+    // All processes find the shadows of this light, also one without a view of it.
+    shade_batch(pipeline, &[])?;
+    let own = Some(ranks.rank() as u32);
+    for part in views.chunks(AT_A_TIME.max(ranks.size())) {
+        let mut shaded = Vec::new();
+        for of in part {
+            let is_own = of.keeper.is_none() || of.keeper == own;
+            shaded.push((of.keeper, if is_own { shade_view(pipeline, of.view, every)? } else { Vec::new() }));
+        }
+        let shaded = OwnedItems::new(shaded, Some(&ranks), |(keeper, _)| *keeper);
+        shaded.each_in_turn(|_, (_, kept)| PackedPixels(kept.clone()), |_, PackedPixels(kept)| take(kept))?;
     }
     Ok(())
+}
+
+/// Shades every n-th pixel of a view whose photograph is here; leaves the rest out once the run is stopped.
+fn shade_view(pipeline: &mut Pipeline, view: ViewIndex, every: usize) -> Result<Vec<KeptPixel>> {
+    let pixels = usable_pixels(&mut pipeline.world, view, every);
+    for part in pixels.chunks(BATCH).take_while(|_| !is_stopping()) {
+        shade_batch(pipeline, part)?;
+    }
+    Ok(std::mem::take(&mut pipeline.world.resource_mut::<KeptPixels>().0))
+}
+
+/// Shades a few pixels, and keeps them.
+fn shade_batch(pipeline: &mut Pipeline, pixels: &[Candidate]) -> Result<()> {
+    pipeline.world.resource_mut::<Window>().0 = 0..pixels.len();
+    pipeline.world.resource_mut::<PresentPixels>().0 = pixels.to_vec();
+    pipeline.run(Phase::Detail)
 }
 
 /// Visits all pixels, then moves the texels; breaks if the run is stopped before.

@@ -1,7 +1,10 @@
+use super::choice::Windows;
+use super::views::SharedViews;
 use super::*;
+use crate::material::TexelIndex;
 use crate::math::ray::{Hit, TexelAddress};
 use crate::pipeline::Stage;
-use crate::view::{Image, Mask};
+use crate::view::{Image, Mask, Split, StoredMask};
 use glam::Affine3A;
 
 #[test]
@@ -18,7 +21,8 @@ fn broken_pixels_of_one_photograph_are_not_fitted_to() {
         let camera = Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 40.0, 4, 4).unwrap();
         world.spawn((ViewIndex(view), camera, photograph, Split::Train));
     }
-    let counts: Vec<usize> = usable_by_view(&mut world).into_iter().map(|(_, count)| count).collect();
+    let counts: Vec<usize> =
+        usable_by_view(&mut world).unwrap().into_iter().map(|view| view.pixels).collect();
     assert_eq!(counts, [16, 16, 15, 16, 16]);
     let pixels = usable_pixels(&mut world, ViewIndex(2), 1);
     assert!(pixels.iter().all(|of| of.pixel.pixel != 7) && pixels.iter().any(|of| of.pixel.pixel == 3));
@@ -118,16 +122,16 @@ fn scattered_pixels_are_usable_and_each_view_has_its_share() {
         mask: Some(&mask),
         limit: f32::MAX,
     };
-    let views: Vec<ObservedView> = (0..20).map(of_index).collect();
+    let views = SharedViews::new((0..20).map(of_index).collect(), None, |_| None);
     let choice = PixelChoice { seed: 3, max_pixels: 50_000, evenly: false };
-    let chosen = Windows::new(&views).scattered(choice).unwrap();
+    let chosen = Windows::new(&views).scattered(choice).unwrap().unwrap();
     assert!((49_000..=50_000).contains(&chosen.len()), "{}", chosen.len());
     let distinct: std::collections::BTreeSet<(u32, u32)> =
         chosen.iter().map(|c| (c.pixel.view.0, c.pixel.pixel)).collect();
     assert_eq!(distinct.len(), chosen.len());
     let mut shares = [0; 20];
     for c in &chosen {
-        assert!(views[0].is_usable(c.pixel.pixel as usize));
+        assert!(views.items[0].is_usable(c.pixel.pixel as usize));
         assert_eq!(c.observed.radiance, photograph.radiance(c.pixel.pixel as usize));
         shares[c.pixel.view.0 as usize] += 1;
     }
@@ -135,5 +139,6 @@ fn scattered_pixels_are_usable_and_each_view_has_its_share() {
     // As often below as above the middle of the disc.
     let below = chosen.iter().filter(|c| c.pixel.pixel / SIDE > 500).count() as f64 / chosen.len() as f64;
     assert!((below - 0.5).abs() < 0.01, "{below}");
-    assert!(Windows::new(&views[..1]).scattered(choice).is_none(), "few enough to look at all");
+    let one = views.filtered(|view| view.index == ViewIndex(0));
+    assert!(Windows::new(&one).scattered(choice).unwrap().is_none(), "few enough to look at all");
 }

@@ -15,7 +15,7 @@
 //! Shares are whole chunks of the kernels' sums, and what samples share is summed over chunks in the order of chunks: the bits are those of one process, whatever
 //! the number of processes. With several base materials it is summed over the processes, and is the same up to rounding. All processes have the same bits.
 //!
-//! What is not split, and is done by each: the pool and its photographs, linear solves, rays of pixels, loss, sums per texel, optimizers, what is between fits, and everything else of a moving shape or camera. While [placements](super::placements) turn,
+//! Photographs belong to the process that has read them ([`OwnedItems`](crate::ranks::owned::OwnedItems)). What is not split, and is done by each: the pool, linear solves, rays of pixels, loss, sums per texel, optimizers, what is between fits, and everything else of a moving shape or camera. While [placements](super::placements) turn,
 //! nothing is split, because their system reads the shadows of a whole window.
 //!
 //! A stop waits ([`HeldStops`](crate::error::stop::HeldStops)) until the processes exchange something, and is then known to all of them. An error of one process ends it, and whoever started the processes has to end the others.

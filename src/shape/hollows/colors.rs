@@ -7,6 +7,7 @@ use crate::mesh::bvh::TriangleBvh;
 use crate::shape::shrunk::shrunk;
 use crate::view::{Camera, Photograph, PixelWindow, StoredMask};
 use glam::{Vec3, Vec3A};
+use serde::{Deserialize, Serialize};
 
 /// Angles in degrees between a view and those around it: less shows no depth, from more the same is seldom seen.
 const ANGLES: (f32, f32) = (6.0, 50.0);
@@ -37,7 +38,7 @@ const RATIO: f32 = 2.0;
 const CLEAR: f32 = 0.06;
 
 /// A photograph in color, with the curve of sRGB.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ColorPicture {
     /// The camera of the small picture.
     pub camera: Camera,

@@ -41,7 +41,7 @@ use crate::ranks::packed::divided;
 use crate::sdf::SdfGrid;
 use crate::shape::parts::extract_parts;
 use crate::shape::silhouette::{Silhouette, pixel_size};
-use crate::shape::stereo::{StereoView, match_pictures};
+use crate::shape::stereo::{StereoView, TrainingViews, match_pictures};
 use colors::{ColorPicture, DepthMap, around, compare};
 use evidence::emptiness;
 use field_fit::fit;
@@ -79,13 +79,12 @@ const MARGIN: (f32, f32) = (0.75, 0.5);
 pub(crate) fn carve_hollows(
     grid: &mut SdfGrid,
     silhouettes: &[Silhouette],
-    views: &[StereoView],
+    views: &TrainingViews,
     least_share: f32,
     ranks: Option<&Ranks>,
 ) -> Result<f32> {
     let factor = picture_factor(grid, views);
-    let pictures: Vec<ColorPicture> =
-        views.par_iter().filter_map(|v| ColorPicture::new(v.camera, v.photograph, v.mask, factor)).collect();
+    let pictures = color_pictures(views, factor)?;
     let volume = |grid: &SdfGrid| grid.values.iter().filter(|value| **value < 0.0).count();
     let whole = volume(grid);
     let closed = grid.clone();
@@ -101,30 +100,31 @@ pub(crate) fn carve_hollows(
         }
     }
     if volume(grid) < whole && !is_stopping() {
-        fill_reflections(grid, &closed, silhouettes, &match_pictures(views, factor));
+        fill_reflections(grid, &closed, silhouettes, &match_pictures(views, factor)?);
     }
     Ok(1.0 - volume(grid) as f32 / whole.max(1) as f32)
 }
 
 /// Removes the space inside a hull that a field of densities explains as empty; returns the share of the volume that goes, and what
 /// distances are at least from now on ([`keep_empty`]), if any. A run that is stopping ([`is_stopping`]) removes nothing.
+///
+/// # Errors
+/// If another process is gone.
 pub(crate) fn look_through(
     grid: &mut SdfGrid,
     silhouettes: &[Silhouette],
-    views: &[StereoView],
-) -> (f32, Option<SdfGrid>) {
+    views: &TrainingViews,
+) -> Result<(f32, Option<SdfGrid>)> {
     let factor = picture_factor(grid, views);
-    let stride = views.len().div_ceil(MOST_VIEWS).max(1);
-    let looked_at: Vec<&StereoView> = views.iter().step_by(stride).collect();
-    let picture = |v: &&StereoView| ColorPicture::new(v.camera, v.photograph, v.mask, factor);
-    let pictures: Vec<ColorPicture> = looked_at.par_iter().filter_map(picture).collect();
+    let stride = views.items.len().div_ceil(MOST_VIEWS).max(1);
+    let pictures = color_pictures(&views.every(stride), factor)?;
     let rays = rays(grid, silhouettes, &pictures);
     let field = fit(grid, &pictures, &rays);
     let empty = emptiness(grid, &field, &pictures, &rays);
     let volume = |grid: &SdfGrid| grid.values.iter().filter(|value| **value < 0.0).count();
     let whole = volume(grid);
     if is_stopping() || empty.iter().all(|empty| *empty <= 0.0) {
-        return (0.0, None);
+        return Ok((0.0, None));
     }
     let mut least = grid.clone();
     carve(grid, &empty);
@@ -134,7 +134,7 @@ pub(crate) fn look_through(
         let is_opened = *least < 0.0 && *now > slack;
         *least = if is_opened { now - slack } else { f32::MIN };
     }
-    (1.0 - volume(grid) as f32 / whole.max(1) as f32, Some(least))
+    Ok((1.0 - volume(grid) as f32 / whole.max(1) as f32, Some(least)))
 }
 
 /// Empties again what is known to be empty: a grid too coarse for the wall of a hollow has gaps in it, which the masks
@@ -154,11 +154,17 @@ fn rays(grid: &SdfGrid, silhouettes: &[Silhouette], pictures: &[ColorPicture]) -
     (0..pictures.len() as u32).into_par_iter().zip(pictures).flat_map_iter(of_picture).collect()
 }
 
+/// The photographs in color, `factor` times smaller along each axis.
+fn color_pictures(views: &TrainingViews, factor: u32) -> Result<Vec<ColorPicture>> {
+    let pictures = views.each(|_, v| ColorPicture::new(v.camera, v.photograph, v.mask, factor))?;
+    Ok(pictures.into_iter().flatten().collect())
+}
+
 /// How many times smaller than the photographs the pictures are that are compared.
-fn picture_factor(grid: &SdfGrid, views: &[StereoView]) -> u32 {
+fn picture_factor(grid: &SdfGrid, views: &TrainingViews) -> u32 {
     let middle = grid.origin + Vec3::splat(0.5 * grid.spacing * (grid.side - 1) as f32);
     let footprint = |v: &StereoView| pixel_size(v.camera) * v.camera.position().distance(middle);
-    let mut footprints: Vec<f32> = views.iter().map(footprint).collect();
+    let mut footprints: Vec<f32> = views.items.iter().map(footprint).collect();
     footprints.sort_by(f32::total_cmp);
     let typical = footprints.get(footprints.len() / 2).copied().unwrap_or(grid.spacing);
     (grid.spacing / (PIXELS_PER_CELL * typical)).round().clamp(1.0, 1024.0) as u32

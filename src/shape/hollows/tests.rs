@@ -60,16 +60,15 @@ impl Pictures {
         Self { cameras, photographs, masks: shown.iter().map(mask).collect() }
     }
 
-    fn views(&self) -> Vec<StereoView<'_>> {
+    fn views(&self) -> TrainingViews<'_> {
         let parts = self.cameras.iter().zip(&self.photographs).zip(&self.masks);
-        parts
-            .map(|((camera, photograph), mask)| StereoView {
-                camera,
-                photograph,
-                mask,
-                placement: Placement(0),
-            })
-            .collect()
+        let views = parts.map(|((camera, photograph), mask)| StereoView {
+            camera,
+            photograph,
+            mask,
+            placement: Placement(0),
+        });
+        TrainingViews::new(views.collect(), None, |_| None)
     }
 
     fn silhouettes(&self) -> Vec<Silhouette> {
@@ -93,7 +92,7 @@ impl Pictures {
     fn opened_by(
         &self,
         cells: u32,
-        open: impl Fn(&mut SdfGrid, &[Silhouette], &[StereoView]) -> f32,
+        open: impl Fn(&mut SdfGrid, &[Silhouette], &TrainingViews) -> f32,
     ) -> (SdfGrid, SdfGrid, f32) {
         let mut silhouettes = self.silhouettes();
         let hull = visual_hull(&mut silhouettes, cells, None).unwrap();
@@ -135,7 +134,7 @@ fn soft(p: Vec3) -> f32 {
 #[test]
 fn a_field_opens_a_cup_with_a_soft_pattern() {
     let (hull, carved, share) = Pictures::new(cup, soft)
-        .opened_by(40, |grid, silhouettes, views| look_through(grid, silhouettes, views).0);
+        .opened_by(40, |grid, silhouettes, views| look_through(grid, silhouettes, views).unwrap().0);
     assert!(share > 0.2, "{share}");
     for height in [0.35, 0.2] {
         let inside = Vec3::new(0.1, height, -0.1);
@@ -175,11 +174,11 @@ fn on_wall(k: u32) -> Vec3 {
 #[test]
 fn a_field_opens_nothing_that_is_full_or_mirrors() {
     let (_, _, share) = Pictures::new(full, waves)
-        .opened_by(40, |grid, silhouettes, views| look_through(grid, silhouettes, views).0);
+        .opened_by(40, |grid, silhouettes, views| look_through(grid, silhouettes, views).unwrap().0);
     assert!(share < 0.005, "a pattern: {share}");
     let mirrored = |at: Vec3, ray: Vec3| 0.5 * waves(at) + waves(at + 2.0 * ray);
     let (_, _, share) = Pictures::from_each_side(full, mirrored)
-        .opened_by(40, |grid, silhouettes, views| look_through(grid, silhouettes, views).0);
+        .opened_by(40, |grid, silhouettes, views| look_through(grid, silhouettes, views).unwrap().0);
     assert!(share < 0.005, "reflections: {share}");
 }
 
@@ -228,7 +227,7 @@ fn space_without_a_way_out_stays_full() {
 fn stays_open(pictures: &Pictures) -> bool {
     let of = |field: fn(Vec3) -> f32| SdfGrid::from_fn(Vec3::ZERO, 0.8, 40, field);
     let (mut grid, closed) = (of(cup), of(full));
-    fill_reflections(&mut grid, &closed, &[], &match_pictures(&pictures.views(), 1));
+    fill_reflections(&mut grid, &closed, &[], &match_pictures(&pictures.views(), 1).unwrap());
     grid.value(Vec3::new(0.0, 0.1, 0.0)) > 0.0
 }
 

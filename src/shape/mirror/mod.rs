@@ -32,11 +32,12 @@ pub(crate) mod direction_table;
 pub(crate) mod search;
 pub(crate) mod sights;
 
+use crate::error::Result;
 use crate::error::stop::is_stopping;
 use crate::light::placement::PlacedFrame;
 use crate::math::statistics::median;
 use crate::mesh::triangles::Mesh;
-use crate::shape::stereo::StereoView;
+use crate::shape::stereo::TrainingViews;
 use crate::shape::stereo::votes::Shell;
 use crate::shape::vertex_graph::VertexGraph;
 use direction_table::{DirectionTable, Sums};
@@ -84,34 +85,37 @@ pub(crate) struct NormalReport {
 
 /// Gives the vertices of `mesh` normals that explain what `views` show, if the mesh's leave much unexplained in views kept aside, and the others
 /// clearly less. The light stands still in `frame`. `go_on` is asked before each round, with its number of `rounds()`.
+///
+/// # Errors
+/// If another process is gone.
 pub(crate) fn refine_normals(
     mesh: &mut Mesh,
-    views: &[StereoView],
+    views: &TrainingViews,
     frame: &PlacedFrame,
     mut go_on: impl FnMut(usize) -> ControlFlow<()>,
-) -> NormalReport {
+) -> Result<NormalReport> {
     let mut report = NormalReport::default();
     let shell = Shell::new(mesh);
     let given = merged_normals(mesh, &shell);
-    let sights = sights(mesh, &shell, &given, views, frame);
+    let sights = sights(mesh, &shell, &given, views, frame)?;
     let mut before = Model::new(&given, &sights, Some(ASIDE_EVERY));
     if before.is_empty() || go_on(0).is_break() {
-        return report;
+        return Ok(report);
     }
     before.solve_light(2 * TURNS);
     let unexplained = before.error_aside() / before.squares_aside().max(f64::MIN_POSITIVE);
     report.unexplained = unexplained as f32;
     if unexplained < UNEXPLAINED {
-        return report;
+        return Ok(report);
     }
-    let Some(after) = searched(&before, &shell.graph, &mut go_on) else { return report };
+    let Some(after) = searched(&before, &shell.graph, &mut go_on) else { return Ok(report) };
     let error = after.error_aside() / before.error_aside().max(f64::MIN_POSITIVE);
     report.error = Some(error as f32);
     if error > BETTER || is_stopping() || go_on(ROUNDS.len()).is_break() {
-        return report;
+        return Ok(report);
     }
     report.turned_degrees = put(mesh, &shell, &given, &normals_by_all(after, &shell.graph));
-    report
+    Ok(report)
 }
 
 /// The model after all rounds of the search; `None` if it is not to go on before one of them.

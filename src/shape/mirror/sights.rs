@@ -1,12 +1,13 @@
 //! What each view shows at each vertex.
 
+use crate::error::Result;
 use crate::light::placement::PlacedFrame;
 use crate::math::ray::Ray;
 use crate::math::statistics::median;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
-use crate::shape::stereo::StereoView;
 use crate::shape::stereo::votes::Shell;
+use crate::shape::stereo::{StereoView, TrainingViews};
 use crate::view::raster::bilinear;
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -56,27 +57,30 @@ pub(crate) fn sights(
     mesh: &Mesh,
     shell: &Shell,
     normals: &[Vec3],
-    views: &[StereoView],
+    views: &TrainingViews,
     frame: &PlacedFrame,
-) -> Vec<Vec<VertexSight>> {
+) -> Result<Vec<Vec<VertexSight>>> {
     let bvh = TriangleBvh::new(mesh);
     let lift = LIFT * shell.graph.mean_edge(&shell.positions);
-    let turns: Vec<Mat3> = views
-        .iter()
-        .map(|view| frame.light_from_world(view.camera.world_from_camera.matrix3.into(), view.placement))
-        .collect();
-    let of_vertex = |i: usize| {
-        let of_view = |view: usize| {
-            let (to_view, radiance) = shown_by(&views[view], &bvh, shell.positions[i], normals[i], lift)?;
-            let light_from_world = turns[view];
-            let to_view = light_from_world * to_view;
-            Some(VertexSight { view: view as u32, light_from_world, to_view, radiance, weight: 1.0 })
+    let of_view = |_, view: &StereoView| -> Vec<(u32, Vec3, Vec3)> {
+        let of_vertex = |i: usize| {
+            let (to_view, radiance) = shown_by(view, &bvh, shell.positions[i], normals[i], lift)?;
+            Some((i as u32, to_view, radiance))
         };
-        (0..views.len()).filter_map(of_view).collect::<Vec<VertexSight>>()
+        (0..normals.len()).into_par_iter().filter_map(of_vertex).collect()
     };
-    let mut all: Vec<Vec<VertexSight>> = (0..normals.len()).into_par_iter().map(of_vertex).collect();
+    let mut all = vec![Vec::new(); normals.len()];
+    views.each_in_turn(of_view, |number, shown| {
+        let StereoView { camera, placement, .. } = views.items[number];
+        let light_from_world = frame.light_from_world(camera.world_from_camera.matrix3.into(), placement);
+        for (vertex, to_view, radiance) in shown {
+            let (view, to_view) = (number as u32, light_from_world * to_view);
+            all[vertex as usize].push(VertexSight { view, light_from_world, to_view, radiance, weight: 1.0 });
+        }
+    })?;
+    all.iter_mut().for_each(Vec::shrink_to_fit);
     weigh(&mut all);
-    all
+    Ok(all)
 }
 
 /// Sets the weights.

@@ -361,7 +361,7 @@ fn reduce_hull(
         let _opening = stage("hollows");
         let ranks = world.get_resource::<Ranks>().cloned();
         (report.opened, empty) = with_training_views(world, |views| -> Result<_> {
-            let (seen_through, empty) = look_through(hull, silhouettes, views);
+            let (seen_through, empty) = look_through(hull, silhouettes, views)?;
             let compared = carve_hollows(hull, silhouettes, views, HULL_SHARE, ranks.as_ref())?;
             Ok((1.0 - (1.0 - seen_through) * (1.0 - compared), empty))
         })?;

@@ -48,11 +48,14 @@ pub(crate) fn refine_by_stereo(
 }
 
 /// Gives the vertices of a mesh of the found surface normals that explain what it mirrors ([`mirror`](crate::shape::mirror)).
+///
+/// # Errors
+/// If another process is gone.
 pub(crate) fn refine_by_mirror(
     world: &mut World,
     mesh: &mut Mesh,
     go_on: impl FnMut(usize) -> ControlFlow<()>,
-) -> NormalReport {
+) -> Result<NormalReport> {
     let frame = PlacedFrame::own(world);
     with_training_views(world, |views| refine_normals(mesh, views, &frame, go_on))
 }

@@ -2,14 +2,14 @@
 
 use crate::error::stop::is_stopping;
 use crate::shape::silhouette::Silhouette;
-use crate::shape::stereo::StereoView;
+use crate::shape::stereo::{StereoView, TrainingViews};
 use crate::view::Placement;
 use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
 use bevy_ecs::prelude::{With, World};
 use rayon::prelude::*;
 
 /// Hands the training photographs with their masks to `use_of`.
-pub(super) fn with_training_views<T>(world: &mut World, use_of: impl FnOnce(&[StereoView]) -> T) -> T {
+pub(super) fn with_training_views<T>(world: &mut World, use_of: impl FnOnce(&TrainingViews) -> T) -> T {
     type View = (
         &'static ViewIndex,
         &'static Camera,
@@ -28,7 +28,7 @@ pub(super) fn with_training_views<T>(world: &mut World, use_of: impl FnOnce(&[St
             StereoView { camera, photograph, mask: &mask.0, placement }
         })
         .collect();
-    use_of(&views)
+    use_of(&TrainingViews::new(views, world.get_resource(), |view| view.photograph.keeper()))
 }
 
 type SilhouetteView =

@@ -2,8 +2,10 @@
 
 use crate::math::color::{luminance, srgb_from_linear};
 use crate::shape::shrunk::shrunk;
+use crate::view::numbers::packed;
 use crate::view::{Camera, Photograph, PixelWindow, StoredMask};
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 /// Angles in degrees between a view and its neighbors: less shows no depth, more does not look alike.
 const ANGLES: (f32, f32) = (6.0, 35.0);
@@ -15,13 +17,14 @@ const MOST_NEIGHBORS: usize = 4;
 const APART: f32 = 7.0;
 
 /// A photograph for matching.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct MatchPicture {
     /// The camera of the small picture.
     pub camera: Camera,
     /// The part of the small picture that shows the object.
     pub window: PixelWindow,
     /// Luminance of the window's pixels with the curve of sRGB, in 1/65535; 0 where the object is not alone.
+    #[serde(with = "packed")]
     values: Vec<u16>,
 }
 

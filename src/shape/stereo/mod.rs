@@ -34,6 +34,7 @@ use crate::math::statistics::median;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
 use crate::ranks::Ranks;
+use crate::ranks::owned::OwnedItems;
 use crate::ranks::packed::divided;
 use crate::shape::displace::within_room;
 use crate::shape::field::ModelError;
@@ -100,6 +101,9 @@ pub struct StereoView<'a> {
     pub placement: Placement,
 }
 
+/// The training views, the photographs of which several processes may share.
+pub type TrainingViews<'a> = OwnedItems<'a, StereoView<'a>>;
+
 /// What [`refine`] did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StereoReport {
@@ -126,7 +130,7 @@ pub struct StereoGuides<'a> {
 /// If another process is gone.
 pub fn refine(
     mesh: &mut Mesh,
-    views: &[StereoView],
+    views: &TrainingViews,
     guides: &StereoGuides,
     mut go_on: impl FnMut(usize) -> ControlFlow<()>,
 ) -> Result<StereoReport> {
@@ -138,7 +142,7 @@ pub fn refine(
         if go_on(round).is_break() {
             break;
         }
-        let pictures = match_pictures(views, finest * relative);
+        let pictures = match_pictures(views, finest * relative)?;
         let trusted = refine_round(mesh, &pictures, guides, search, &mut object)?;
         if trusted == 0.0 {
             break;
@@ -146,7 +150,7 @@ pub fn refine(
         report.trusted = trusted;
     }
     if report.trusted > 0.0 && !is_stopping() {
-        take_back(mesh, &start, views, finest);
+        take_back(mesh, &start, views, finest)?;
     }
     let squares = start.positions.iter().zip(&mesh.positions).map(|(a, b)| f64::from(a.distance_squared(*b)));
     report.moved = (squares.sum::<f64>() / start.positions.len().max(1) as f64).sqrt() as f32;
@@ -154,37 +158,42 @@ pub fn refine(
 }
 
 /// Takes the displacements from `start` back where the photographs show no pattern of the surface, but what it mirrors.
-fn take_back(mesh: &mut Mesh, start: &Mesh, views: &[StereoView], factor: u32) {
+fn take_back(mesh: &mut Mesh, start: &Mesh, views: &TrainingViews, factor: u32) -> Result<()> {
     // From another placement the light is another, and a place without a pattern looks different.
-    let count = |placement: Placement| views.iter().filter(|view| view.placement == placement).count();
-    let most = views.iter().map(|view| view.placement).max_by_key(|placement| count(*placement));
-    let alike: Vec<StereoView> = views.iter().filter(|view| Some(view.placement) == most).copied().collect();
-    let pictures = match_pictures(&alike, factor);
+    let of_views = || views.items.iter().map(|view| view.placement);
+    let count = |placement: Placement| of_views().filter(|other| *other == placement).count();
+    let most = of_views().max_by_key(|placement| count(*placement));
+    let alike = views.clone().filtered(|view| Some(view.placement) == most);
+    let pictures = match_pictures(&alike, factor)?;
     // The vertices that were merged before are those that moved together.
     let (graph, before) = VertexGraph::new(start);
     let shell = Shell::moved(graph, mesh);
     let shares = pattern_shares(mesh, &shell, &pictures);
     if is_stopping() {
-        return;
+        return Ok(());
     }
     let kept: Vec<f32> = shares.iter().map(|share| smooth_step(*share, PATTERN)).collect();
     let kept = shell.graph.smoothed(&kept, WIDE);
     let back: Vec<Vec3> = (0..before.len()).map(|i| before[i].lerp(shell.positions[i], kept[i])).collect();
     put(mesh, &shell, &back);
+    Ok(())
 }
 
 /// The photographs for matching, `factor` times smaller along each axis.
-pub(crate) fn match_pictures(views: &[StereoView], factor: u32) -> Vec<MatchPicture> {
-    let picture = |v: &StereoView| MatchPicture::new(v.camera, v.photograph, v.mask, factor);
-    views.par_iter().filter_map(picture).collect()
+///
+/// # Errors
+/// If another process is gone.
+pub(crate) fn match_pictures(views: &TrainingViews, factor: u32) -> Result<Vec<MatchPicture>> {
+    let pictures = views.each(|_, v| MatchPicture::new(v.camera, v.photograph, v.mask, factor))?;
+    Ok(pictures.into_iter().flatten().collect())
 }
 
 /// How many times smaller than the photographs the finest pictures are; `None` without views or triangles.
-fn finest_factor(mesh: &Mesh, views: &[StereoView]) -> Option<u32> {
+fn finest_factor(mesh: &Mesh, views: &TrainingViews) -> Option<u32> {
     let (graph, positions) = VertexGraph::new(mesh);
     let center = positions.iter().sum::<Vec3>() / positions.len().max(1) as f32;
     let footprint = |v: &StereoView| pixel_size(v.camera) * v.camera.position().distance(center);
-    let footprint = median(&mut views.iter().map(footprint).collect::<Vec<f32>>())?;
+    let footprint = median(&mut views.items.iter().map(footprint).collect::<Vec<f32>>())?;
     let factor = graph.mean_edge(&positions) / (PIXELS_PER_EDGE * footprint);
     (!mesh.triangles.is_empty()).then(|| factor.round().clamp(1.0, 1024.0) as u32)
 }

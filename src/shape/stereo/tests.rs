@@ -35,16 +35,15 @@ impl Pictures {
         Self { cameras, photographs, masks }
     }
 
-    fn views(&self) -> Vec<StereoView<'_>> {
+    fn views(&self) -> TrainingViews<'_> {
         let parts = self.cameras.iter().zip(&self.photographs).zip(&self.masks);
-        parts
-            .map(|((camera, photograph), mask)| StereoView {
-                camera,
-                photograph,
-                mask,
-                placement: Placement(0),
-            })
-            .collect()
+        let views = parts.map(|((camera, photograph), mask)| StereoView {
+            camera,
+            photograph,
+            mask,
+            placement: Placement(0),
+        });
+        TrainingViews::new(views.collect(), None, |_| None)
     }
 }
 
@@ -119,7 +118,7 @@ fn a_mesh_stays_where_only_a_spot_of_it_agrees() {
         let cap = |p: Vec3, _| if p.z > above { pattern(p) } else { Vec3::splat(0.3) };
         let (pictures, mut mesh) = (Pictures::of(cap), bumpy());
         let (views, (relative, search)) = (pictures.views(), ROUNDS[0]);
-        let small = match_pictures(&views, relative * finest_factor(&mesh, &views).unwrap());
+        let small = match_pictures(&views, relative * finest_factor(&mesh, &views).unwrap()).unwrap();
         let votes = all_votes(&TriangleBvh::new(&mesh), &Shell::new(&mesh), &small, search, None).unwrap();
         let trusted = votes.iter().filter(|vote| vote.share(HALF_SHARE) > TRUSTED).count();
         (trusted, refine(&mut mesh, &views, &guided(&error(0.01)), |_| Continue(())).unwrap().moved)
@@ -147,7 +146,10 @@ fn nothing_moves_without_views_or_when_stopped() {
     let (pictures, mut mesh) = (Pictures::new(), bumpy());
     let before = mesh.clone();
     assert_eq!(
-        refine(&mut mesh, &[], &guided(&error(0.01)), |_| Continue(())).unwrap(),
+        refine(&mut mesh, &TrainingViews::new(Vec::new(), None, |_| None), &guided(&error(0.01)), |_| {
+            Continue(())
+        })
+        .unwrap(),
         StereoReport::default()
     );
     assert_eq!(
@@ -185,7 +187,8 @@ fn a_thin_plate_is_not_pushed_through_itself() {
 fn a_pattern_is_told_from_a_reflection() {
     let mesh = sphere_mesh(Vec3::ZERO, 1.0).unwrap();
     let shares = |pictures: &Pictures| {
-        let mut shares = pattern_shares(&mesh, &Shell::new(&mesh), &match_pictures(&pictures.views(), 1));
+        let mut shares =
+            pattern_shares(&mesh, &Shell::new(&mesh), &match_pictures(&pictures.views(), 1).unwrap());
         median(&mut shares).unwrap()
     };
     let (painted, mirror) = (shares(&Pictures::new()), shares(&Pictures::of(|_, to| pattern(to))));

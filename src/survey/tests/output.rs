@@ -3,7 +3,7 @@
 use super::{good, object, surveyed};
 use crate::report::sheet::{SheetCell, compose};
 use crate::scene::{FitPass, LoadOptions, Pass, Scene, ShapePass, load};
-use crate::survey::estimate::{Estimate, duration, estimate, memory};
+use crate::survey::estimate::{Estimate, Workers, duration, estimate, memory};
 use crate::survey::finding::named;
 use crate::survey::{Survey, contact_sheet, json, table};
 use glam::Vec3;
@@ -78,7 +78,7 @@ fn json_and_sheet_flag_the_view() {
 fn more_work_takes_more_time_and_memory() {
     let survey = surveyed(&good(), Some(&object()));
     let render = "Render(name: \"novel\")";
-    let of = |passes: &str, threads| estimate(&survey.looks, &scene(passes), threads);
+    let of = |passes: &str, threads| estimate(&survey.looks, &scene(passes), Workers::threads(threads));
     let short = of(&format!("Fit(steps: 100), {render}"), 2);
     let long = of(&format!("Fit(steps: 1000), {render}"), 2);
     assert!(long.seconds() > short.seconds() && long.bytes() == short.bytes());
@@ -99,13 +99,32 @@ fn more_work_takes_more_time_and_memory() {
 }
 
 #[test]
+fn processes_share_the_photographs_that_only_fits_look_at() {
+    let survey = surveyed(&good(), Some(&object()));
+    let photographs = |passes: &str, processes| {
+        let workers = Workers { processes, ..Workers::threads(2) };
+        estimate(&survey.looks, &scene(passes), workers).parts[0].bytes
+    };
+    let scored = |views: &str| {
+        format!(
+            "Fit(), Render(name: \"again\", render: (views: {views})), \
+             Evaluate(scores: [(pass: \"again\", truth: Photographs)])"
+        )
+    };
+    let (one, four) = (photographs("Fit()", 1), photographs("Fit()", 4));
+    assert!(four < 0.6 * one, "{one} {four}");
+    assert_eq!(photographs(&scored("Test"), 4), four);
+    assert_eq!(photographs(&scored("All"), 4), one);
+}
+
+#[test]
 fn levels_that_photographs_do_not_resolve_take_nothing() {
     let survey = surveyed(&good(), None);
     let of = |survey: &Survey, levels: usize| {
         let mut shape = ShapePass::default();
         shape.levels.truncate(levels);
         let scene = Scene { passes: vec![Pass::Shape(shape)], ..scene("") };
-        let estimate = estimate(&survey.looks, &scene, 2);
+        let estimate = estimate(&survey.looks, &scene, Workers::threads(2));
         estimate.parts.into_iter().find(|part| part.what == "shape").unwrap()
     };
     let (two, three) = (of(&survey, 2), of(&survey, 3));
