@@ -124,6 +124,17 @@ fn photographs_that_others_keep_are_compared_and_shown() {
 }
 
 #[test]
+fn a_fit_under_two_lights_has_the_bits_of_one() {
+    let data = photographs();
+    two_balls(&data);
+    let passes = r#"Fit(name: "fit", steps: 24, batch: 400, detail: true), Save(name: "save"),"#;
+    let placements = r#"placements: [(photographs: "rgb_000000"), (photographs: "rgb_", light: Own)]"#;
+    let text = scene(MESH, "material: (gloss: One),", passes)
+        .replace(r#"Dataset(path: "$DATA")"#, &format!(r#"Dataset(path: "$DATA", {placements})"#));
+    agrees(&data, &text, "fit", &[2, 3]);
+}
+
+#[test]
 fn several_base_materials_are_the_same_on_all_ranks_and_nearly_those_of_one() {
     let data = Data::new();
     two_balls(&data);

@@ -23,13 +23,19 @@ impl LentPhotographs {
     pub fn borrow(session: &mut Session, index: usize) -> Result<Self> {
         let Some(ranks) = session.sharing_ranks().cloned() else { return Ok(Self::default()) };
         let passes = &session.scene.passes;
-        Self::borrow_for(session, &passes[index..=index], &ranks, true)
+        Self::borrow_for(session, &passes[index..=index], &ranks, None)
     }
 
-    /// Brings the photographs here that some passes look at, if this process `is_looking`.
-    fn borrow_for(session: &mut Session, passes: &[Pass], ranks: &Ranks, is_looking: bool) -> Result<Self> {
-        let views = looked_at(session, passes);
+    /// Brings the photographs here that some passes look at; if `only` one process looks, to that one.
+    fn borrow_for(session: &mut Session, passes: &[Pass], ranks: &Ranks, only: Option<u32>) -> Result<Self> {
+        let is_looking = only.is_none_or(|rank| rank as usize == ranks.rank());
+        let mut views = looked_at(session, passes);
         let world = &mut session.pipeline.world;
+        if let Some(only) = only {
+            let is_there =
+                |view: &Entity| world.get::<Photograph>(*view).and_then(Photograph::keeper) == Some(only);
+            views.retain(|view| !is_there(view));
+        }
         let photographs: Vec<&Photograph> =
             views.iter().filter_map(|view| world.get::<Photograph>(*view)).collect();
         let missing: Vec<bool> = photographs.iter().map(|photograph| !photograph.has_pixels()).collect();
@@ -66,8 +72,7 @@ pub(super) fn hand_to_first(session: &mut Session, index: usize) -> Result<()> {
     let ranks = session.sharing_ranks().filter(|_| session.is_after_fits(index)).cloned();
     let passes = &session.scene.passes;
     ranks.map_or(Ok(()), |ranks| {
-        let is_first = ranks.rank() == 0;
-        LentPhotographs::borrow_for(session, &passes[index..], &ranks, is_first).map(drop)
+        LentPhotographs::borrow_for(session, &passes[index..], &ranks, Some(0)).map(drop)
     })
 }
 

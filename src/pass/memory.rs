@@ -55,7 +55,11 @@ pub fn within<'a>(
     progress: &dyn Progress,
 ) -> Result<Cow<'a, Scene>> {
     let Some(budget) = bytes.map(|bytes| bytes as f64) else { return Ok(Cow::Borrowed(scene)) };
-    let needs = |scene: &Scene| estimate(looks, scene, Workers { threads: 1, processes });
+    let needs_of = |scene: &Scene, processes| estimate(looks, scene, Workers { threads: 1, processes });
+    // As many pixels as one process would take, so that results do not depend on the number of processes; unless one could not do it at all.
+    let can_alone = needs_of(&with_pools(scene, LEAST_PIXELS), 1).bytes() <= budget;
+    let processes = if can_alone { 1 } else { processes };
+    let needs = |scene: &Scene| needs_of(scene, processes);
     let full = needs(scene);
     if full.bytes() <= budget {
         return Ok(Cow::Borrowed(scene));

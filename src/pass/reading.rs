@@ -211,7 +211,9 @@ fn other_data(what: &str) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::color::linear_from_srgb;
     use crate::ranks::threads::ThreadRank;
+    use glam::Vec3;
     use std::sync::Arc;
 
     /// What each of three processes gets of items, four at a time. Those that `is_missing` says of a process are not there for it, and those from `accepted` on are
@@ -274,5 +276,79 @@ mod tests {
         let told =
             all.iter().filter(|all| all.as_ref().is_err_and(|error| error.to_string().contains("item 3")));
         assert_eq!(told.count(), 2);
+    }
+
+    /// A data set of `count` views, every fifth of which is held out.
+    fn data_set(count: usize) -> (tempfile::TempDir, Scene) {
+        let folder = tempfile::tempdir().unwrap();
+        for (split, rest) in [("train", 1..5), ("test", 0..1)] {
+            let frame = |view: usize| {
+                let picture = image::RgbaImage::from_pixel(8, 8, image::Rgba([90, 120, view as u8, 255]));
+                picture.save(folder.path().join(format!("view_{view}.png"))).unwrap();
+                serde_json::json!({
+                    "file_path": format!("./view_{view}"),
+                    "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]],
+                })
+            };
+            let of_split = (0..count).filter(|view| rest.contains(&(view % 5)));
+            let frames: Vec<_> = of_split.map(frame).collect();
+            let cameras = serde_json::json!({ "camera_angle_x": 0.7, "frames": frames });
+            let path = folder.path().join(format!("transforms_{split}.json"));
+            std::fs::write(path, cameras.to_string()).unwrap();
+        }
+        let text = format!(
+            "Scene(version: 1, surface: Sphere(radius: 0.5), views: Dataset(path: {:?}), passes: [Fit()])",
+            folder.path()
+        );
+        let path = folder.path().join("scene.ron");
+        std::fs::write(&path, text).unwrap();
+        let scene = crate::scene::load(&path, &crate::scene::LoadOptions::default()).unwrap().scene;
+        (folder, scene)
+    }
+
+    /// Name and split of a view, who keeps its photograph, and a pixel of it if it is here.
+    type KeptView = (String, Split, u32, Option<Vec3>);
+
+    /// The views of a data set as three processes have them.
+    fn kept_by_three(open: &OpenScene) -> Vec<Vec<KeptView>> {
+        let read_by = |rank: ThreadRank| {
+            let ranks = Ranks::new(Arc::new(rank));
+            let read = |view: &PlannedView| Ok((open.load(view)?, None));
+            let all = read_shares(&open.views, &ranks, read, || {}).unwrap();
+            let kept = |(loaded, _): ReadView| {
+                let photograph = loaded.record.photograph.unwrap();
+                let pixel = photograph.has_pixels().then(|| photograph.radiance(9));
+                (loaded.record.name, loaded.record.split, photograph.keeper().unwrap(), pixel)
+            };
+            all.into_iter().map(kept).collect()
+        };
+        std::thread::scope(|scope| {
+            let read_by = &read_by;
+            let threads: Vec<_> =
+                ThreadRank::group(3).into_iter().map(|rank| scope.spawn(move || read_by(rank))).collect();
+            threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+        })
+    }
+
+    #[test]
+    fn each_photograph_is_in_the_memory_of_one_process() {
+        let (_folder, scene) = data_set(83);
+        let open = OpenScene::new(&scene, None).unwrap().unwrap();
+        assert_eq!(open.views.len(), 83);
+        let by_rank = kept_by_three(&open);
+        let mut kept = [0; 3];
+        for (view, (name, split, keeper, _)) in by_rank[0].iter().enumerate() {
+            assert!(*split == Split::Train || *keeper == 0, "the first process keeps what is held out");
+            for (rank, of_rank) in by_rank.iter().enumerate() {
+                let (also, _, told, pixel) = &of_rank[view];
+                assert_eq!((also, told), (name, keeper));
+                // Its blue is the number in its name.
+                let number: f32 = name.trim_start_matches("view_").parse().unwrap();
+                let expected = (rank as u32 == *keeper).then(|| linear_from_srgb(number / 255.0));
+                assert_eq!(pixel.map(|pixel| pixel.z), expected, "{name}, rank {rank}");
+            }
+            kept[*keeper as usize] += usize::from(*split == Split::Train);
+        }
+        assert!(kept.iter().all(|count| (15..30).contains(count)), "{kept:?}");
     }
 }

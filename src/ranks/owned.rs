@@ -10,7 +10,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// Items that are worked on before they are exchanged: only what is made of these is in memory several times. More with more than so many processes or threads.
+/// Items that are worked on before they are exchanged: only what is made of these is in memory several times. As many as processes, if these are more; of one
+/// process four for each thread, if these are more.
 pub(crate) const AT_A_TIME: usize = 32;
 
 /// Items that several processes share: an item with an owner is left to that process, and all others get what it makes of it; one without is everybody's, and
@@ -27,6 +28,11 @@ impl<'a, V: Sync> OwnedItems<'a, V> {
     /// Items with the ranks of their owners. Without `ranks` all are everybody's.
     pub fn new(items: Vec<V>, ranks: Option<&'a Ranks>, owner: impl Fn(&V) -> Option<u32>) -> Self {
         Self { owners: items.iter().map(owner).collect(), items, ranks }
+    }
+
+    /// The processes that share the items.
+    pub fn ranks(&self) -> Option<&'a Ranks> {
+        self.ranks
     }
 
     /// Those of the items that `is_wanted` says.

@@ -18,11 +18,13 @@ pub struct Observation {
     pub pixel: PixelOf,
     /// The radiance in the photograph.
     pub observed: Observed,
-    /// How the photograph changes around it.
-    pub gradient: ImageGradient,
     /// The surface point of its ray when the fit began.
     pub point: SurfacePoint,
 }
+
+/// How the photograph changes around an observed pixel; only in the pool of a fit that moves cameras.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct ObservedGradient(pub ImageGradient);
 
 /// The observed pixels, as a system parameter.
 pub type Observations<'w, 's> = Pool<'w, 's, ObservationIndex, &'static Observation>;

@@ -4,7 +4,7 @@
 //! | --- | --- | --- |
 //! | photographs | pixels around the object × (`PHOTOGRAPH_BYTES` + `MASK_BYTES`); of several processes in the first one, which keeps those of test views, and a share of the others | pixels × `DECODE_NANOS` |
 //! | texels | texels × `TEXEL_BYTES` | |
-//! | `Fit` | `FIT_BYTES` + pixels in the pool × `POOL_BYTES` + texels × `FIT_TEXEL_BYTES` | steps × batch, half of it before the first milestone, × lobes × `FIT_PAIR_NANOS` + pixels in the pool × `FIT_START_NANOS` |
+//! | `Fit` | `FIT_BYTES` + pixels in the pool × `POOL_BYTES`, with unknown cameras and `GRADIENT_BYTES`, + texels × `FIT_TEXEL_BYTES` | steps × batch, half of it before the first milestone, × lobes × `FIT_PAIR_NANOS` + pixels in the pool × `FIT_START_NANOS` |
 //! | `Fit(detail: true)` | the same + `DETAIL_BYTES` + pixels × `DETAIL_PIXEL_BYTES` | three times as long + pixels × `DETAIL_PIXEL_NANOS` |
 //! | `Shape` | pixels in the pool × `POOL_BYTES` + cells³ × `CELL_BYTES` | steps × batch × `SHAPE_PIXEL_NANOS` |
 //! | its mesh | cells² × `MESH_BYTES` | |
@@ -17,12 +17,14 @@
 //! `cheburashka`, `head` and `chair`; 300 photographs of 512², 16 of 4096² and 1000 of 1 MP).
 
 use crate::codec::animation::film_bytes;
+use crate::fit::cameras::CameraUnknowns;
 use crate::fit::detail::equations::TexelEquations;
 use crate::fit::detail::kept::KeptPixel;
 use crate::fit::detail::{MOST_PIXELS, finest_side};
 use crate::fit::schedule::EARLY;
 use crate::math::statistics::median;
 use crate::sample::observation::{Observation, ObservationIndex};
+use crate::sample::pixel::ImageGradient;
 use crate::scene::{
     FitPass, GridLevel, Light, LightSource, Pass, RenderSettings, Scene, Score, Shading, ShapePass, Surface,
     Truth, ViewChoice, Views, Visibility,
@@ -34,8 +36,8 @@ use crate::view::Split;
 use crate::visibility::VisibilitySettings;
 use serde::Serialize;
 
-/// Bytes of a pixel of a photograph in memory, in the rectangle around the object: 8-bit colors, and flags. Downscaled and undistorted photographs and EXR
-/// take half floats, two or three bytes more, and so does an alpha that is not the mask.
+/// Bytes of a pixel of a photograph in memory, in the rectangle around the object: 8-bit colors, flags, and room for an alpha that is not the mask.
+/// Downscaled and undistorted photographs and EXR take half floats, two or three bytes more.
 pub(crate) const PHOTOGRAPH_BYTES: f64 = 4.2;
 /// Bytes of a pixel of a mask in memory; the alpha of a photograph is the same memory.
 pub(crate) const MASK_BYTES: f64 = 1.0;
@@ -46,6 +48,8 @@ pub(crate) const SILHOUETTE_BYTES: f64 = 2.0;
 /// Bytes of a pixel in the pool of a fit: its columns, two ticks for each of the two, and its entity; a table that grows keeps room for
 /// more rows.
 pub(crate) const POOL_BYTES: f64 = 1.6 * (size_of::<(ObservationIndex, Observation)>() + 2 * 8 + 52) as f64;
+/// The same of what a pixel has besides, if cameras are moved.
+const GRADIENT_BYTES: f64 = 1.6 * (size_of::<ImageGradient>() + 8) as f64;
 /// Bytes of a texel: albedo, sheen, tilt and blend, what is shown, place and normal. A sphere of 1024² and 2048² texels, one small picture.
 pub(crate) const TEXEL_BYTES: f64 = 440.0;
 /// Bytes of a texel in a fit beside these: gradients, moments, and the tables that texels left when these came to them. Measured
@@ -226,6 +230,11 @@ struct Task<'a> {
     workers: Workers,
 }
 
+/// Bytes of a pixel in the pool of a fit that moves cameras, or does not.
+fn pool_bytes(cameras: CameraUnknowns) -> f64 {
+    POOL_BYTES + if cameras == CameraUnknowns::Given { 0.0 } else { GRADIENT_BYTES }
+}
+
 /// Whether a pass renders a view.
 fn is_chosen(look: &ViewLook, render: &RenderSettings) -> bool {
     match &render.views {
@@ -357,7 +366,8 @@ impl Task<'_> {
             if fit.vertices { 0.0 } else { fit.milestones.first().copied().unwrap_or(1.0) * (1.0 - EARLY) };
         let early = f64::from(early);
         let pairs = f64::from(fit.steps) * (1.0 - early) * f64::from(fit.batch) * self.lobes();
-        let bytes = FIT_BYTES + self.pool(fit.max_pixels) * POOL_BYTES + self.texels() * FIT_TEXEL_BYTES;
+        let pool = self.pool(fit.max_pixels) * pool_bytes(fit.cameras);
+        let bytes = FIT_BYTES + pool + self.texels() * FIT_TEXEL_BYTES;
         let start = self.pool(fit.max_pixels) * FIT_START_NANOS;
         if !fit.detail {
             return self.part(&fit.name, bytes, start + pairs * FIT_PAIR_NANOS, false);
@@ -387,7 +397,7 @@ impl Task<'_> {
         let levels = self.resolved(&shape.levels);
         let steps: f64 = levels.iter().map(|level| f64::from(level.steps)).sum();
         let cells = levels.iter().map(|level| f64::from(level.cells).powi(3)).fold(0.0, f64::max);
-        let bytes = self.pool(shape.max_pixels) * POOL_BYTES + cells * CELL_BYTES;
+        let bytes = self.pool(shape.max_pixels) * pool_bytes(shape.cameras) + cells * CELL_BYTES;
         self.part(&shape.name, bytes, steps * f64::from(shape.batch) * SHAPE_PIXEL_NANOS, false)
     }
 

@@ -153,7 +153,8 @@ impl Photograph {
         Self { window, channels: colors, alpha, saturated, ..whole }
     }
 
-    /// The same photograph without its pixels, which another process keeps ([`Photograph::keeper`]): to ask for one inside the window panics.
+    /// The same photograph without its pixels, which another process keeps ([`Photograph::keeper`]): [`Photograph::radiance`] and
+    /// [`Photograph::image`] panic.
     pub fn without_its_pixels(&self) -> Self {
         let none = Numbers::of(std::iter::empty(), false);
         Self { color: none, alpha: None, saturated: Flags(Vec::new()), ..*self }

@@ -2,8 +2,9 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
+//! | [`take_gradients`] | Sample | observed pixels | [`ImageGradient`] |
 //! | [`retrace_still_surface`] | Trace, `Slot::Retrace` | rays, `Scenery` | surface points; a moving surface has its own system |
-//! | [`align_photographs`] | Gradient, `Slot::CameraGradient` | points, radiance, observations | [`CameraPose`]: normal equations |
+//! | [`align_photographs`] | Gradient, `Slot::CameraGradient` | points, radiance, gradients | [`CameraPose`]: normal equations |
 //! | [`move_cameras`] | Update, `Slot::CameraUpdate` | normal equations | [`CameraPose`], cameras |
 //!
 //! The rays of a step are cast through the cameras as they are then ([`crate::fit::observe::take_observations`]).
@@ -18,9 +19,10 @@ use crate::fit::cameras::align::{
 use crate::fit::components::StepRates;
 use crate::fit::exposure::Exposures;
 use crate::fit::guard::{StepGuard, is_usable};
+use crate::fit::observe::take_gradients;
 use crate::math::ray::Intersect;
 use crate::math::shading::Layers;
-use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
+use crate::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
 use crate::sample::Samples;
 use crate::sample::pixel::{ImageGradient, Observed, PixelOf, ViewRay};
 use crate::sample::point::{Scenery, SurfacePoint};
@@ -165,6 +167,7 @@ impl Plugin for CameraPlugin {
         let mut fit = pipeline.world.resource_mut::<CameraFit>();
         (fit.unknowns, fit.object_moves) = (self.0, false);
         pipeline
+            .add_systems(Phase::FitStep, Stage::Sample, take_gradients)
             .swap(Phase::FitStep, Slot::Retrace, retrace_still_surface)
             .swap(Phase::FitStep, Slot::CameraGradient, align_photographs)
             .swap(Phase::FitStep, Slot::CameraUpdate, move_cameras);

@@ -39,7 +39,7 @@ use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
 use crate::profile::stage;
 use crate::ranks::Ranks;
-use crate::ranks::owned::{AT_A_TIME, OwnedItems};
+use crate::ranks::owned::OwnedItems;
 use crate::sample::Samples;
 use crate::sample::bundle::despawn_pool;
 use crate::sample::pixel::{Observed, PixelOf, ViewRay, Window};
@@ -66,6 +66,8 @@ const PIXELS_OF_TEXEL: f64 = 2.0;
 const BATCH: usize = 1 << 16;
 /// Most pixels that are kept; of more, every n-th is visited.
 pub(crate) const MOST_PIXELS: usize = 1 << 25;
+/// Shaded pixels that processes exchange at a time, about.
+const SENT_AT_ONCE: usize = 1 << 20;
 /// Part of the work that is shading.
 const SHADING_PART: f32 = 0.8;
 
@@ -179,8 +181,8 @@ fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<(
     for of_group in views.chunk_by(|a, b| group_of(a) == group_of(b)) {
         let group = of_group.first().map_or(LightGroup::OWN, group_of);
         exchange_light(&mut pipeline.world, group);
-        let shaded = shade_group(pipeline, of_group, every, &mut |mut of_views| {
-            kept.append(&mut of_views);
+        let mut take = |mut of_view: Vec<KeptPixel>| kept.append(&mut of_view);
+        let shaded = shade_group(pipeline, of_group, every, &mut take, &mut || {
             done += 1;
             watch(done as f32 / views.len() as f32);
         });
@@ -198,30 +200,61 @@ fn shade_group(
     views: &[UsableView],
     every: usize,
     take: &mut dyn FnMut(Vec<KeptPixel>),
+    watch: &mut dyn FnMut(),
 ) -> Result<()> {
     let Some(ranks) = pipeline.world.get_resource::<Ranks>().cloned() else {
         for of in views {
             take(shade_view(pipeline, of.view, every)?);
+            watch();
         }
         return Ok(());
     };
+    if is_stopping() {
+        return Ok(());
+    }
     // All processes find the shadows of this light, also one without a view of it.
     shade_batch(pipeline, &[])?;
     let own = Some(ranks.rank() as u32);
-    for part in views.chunks(AT_A_TIME.max(ranks.size())) {
-        let mut shaded = Vec::new();
-        for of in part {
-            let is_own = of.keeper.is_none() || of.keeper == own;
-            shaded.push((of.keeper, if is_own { shade_view(pipeline, of.view, every)? } else { Vec::new() }));
-        }
-        let shaded = OwnedItems::new(shaded, Some(&ranks), |(keeper, _)| *keeper);
-        shaded.each_in_turn(|_, (_, kept)| PackedPixels(kept.clone()), |_, PackedPixels(kept)| take(kept))?;
+    let mut shaded = Vec::with_capacity(views.len());
+    for of in views {
+        let is_own = of.keeper.is_none() || of.keeper == own;
+        shaded.push(if is_own { shade_view(pipeline, of.view, every)? } else { Vec::new() });
+        watch();
     }
-    Ok(())
+    send_shaded(&ranks, shaded, views, every, take)
+}
+
+/// Hands what is kept of each view to `take`, in all processes, from that which has shaded it.
+fn send_shaded(
+    ranks: &Ranks,
+    shaded: Vec<Vec<KeptPixel>>,
+    views: &[UsableView],
+    every: usize,
+    take: &mut dyn FnMut(Vec<KeptPixel>),
+) -> Result<()> {
+    // A few at a time: only these are in memory several times.
+    let mut left = shaded.into_iter().zip(views);
+    loop {
+        let (mut some, mut pixels) = (Vec::new(), 0);
+        while pixels < SENT_AT_ONCE * every
+            && let Some((kept, of)) = left.next()
+        {
+            pixels += of.pixels;
+            some.push((kept, of.keeper));
+        }
+        if some.is_empty() {
+            return Ok(());
+        }
+        let some = OwnedItems::new(some, Some(ranks), |(_, keeper)| *keeper);
+        some.each_in_turn(|_, (kept, _)| PackedPixels(kept.clone()), |_, PackedPixels(kept)| take(kept))?;
+    }
 }
 
 /// Shades every n-th pixel of a view whose photograph is here; leaves the rest out once the run is stopped.
 fn shade_view(pipeline: &mut Pipeline, view: ViewIndex, every: usize) -> Result<Vec<KeptPixel>> {
+    if is_stopping() {
+        return Ok(Vec::new());
+    }
     let pixels = usable_pixels(&mut pipeline.world, view, every);
     for part in pixels.chunks(BATCH).take_while(|_| !is_stopping()) {
         shade_batch(pipeline, part)?;

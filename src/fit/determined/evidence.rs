@@ -331,7 +331,6 @@ mod tests {
     use crate::math::brdf::Ndf;
     use crate::math::published::Lobe;
     use crate::math::shading::{Layers, LobeColumns};
-    use crate::sample::pixel::ImageGradient;
     use crate::sample::pixel::{Observed, PixelOf};
     use crate::sample::point::SurfacePoint;
     use crate::view::ViewIndex;
@@ -341,7 +340,6 @@ mod tests {
         let at = |x: f32, normal: Vec3| Observation {
             pixel: PixelOf { view: ViewIndex(0), pixel: 0 },
             observed: Observed { radiance: Vec3::ONE, saturated: false },
-            gradient: ImageGradient::default(),
             point: SurfacePoint { position: Vec3::new(x, 0.0, 0.0), normal, ..SurfacePoint::default() },
         };
         let seen =

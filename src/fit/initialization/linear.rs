@@ -193,7 +193,6 @@ pub(crate) fn solve_albedo<'a>(
 mod tests {
     use super::*;
     use crate::math::ray::TexelAddress;
-    use crate::sample::pixel::ImageGradient;
     use crate::sample::pixel::{Observed, PixelOf};
     use crate::sample::point::SurfacePoint;
     use crate::view::ViewIndex;
@@ -257,12 +256,7 @@ mod tests {
         let seen = |light: &f32| {
             let radiance = Vec3::splat((0.6 * light).min(1.0));
             let observed = Observed { radiance, saturated: 0.6 * light >= 1.0 };
-            Observation {
-                pixel: PixelOf { view: ViewIndex(0), pixel: 0 },
-                observed,
-                gradient: ImageGradient::default(),
-                point,
-            }
+            Observation { pixel: PixelOf { view: ViewIndex(0), pixel: 0 }, observed, point }
         };
         let observations: Vec<Observation> = lights.iter().map(seen).collect();
         let mut albedo = vec![Vec3::splat(0.4)];

@@ -421,7 +421,6 @@ impl Initialization<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sample::pixel::ImageGradient;
     use crate::sample::pixel::{Observed, PixelOf};
 
     #[test]
@@ -430,12 +429,7 @@ mod tests {
             let [x, y] = [place % 600, place / 600 % 600].map(|at| at as f32 / 300.0 - 1.0);
             let point = SurfacePoint { position: Vec3::new(x, y, x * y), ..SurfacePoint::default() };
             let observed = Observed { radiance: Vec3::ONE, saturated: false };
-            Observation {
-                pixel: PixelOf { view: ViewIndex(0), pixel: place as u32 },
-                observed,
-                gradient: ImageGradient::default(),
-                point,
-            }
+            Observation { pixel: PixelOf { view: ViewIndex(0), pixel: place as u32 }, observed, point }
         };
         // Each of 360 000 places is seen three times.
         let all: Vec<Observation> = (0..3 * 360_000).map(seen).collect();

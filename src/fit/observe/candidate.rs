@@ -13,6 +13,8 @@ pub struct PixelChoice {
     pub max_pixels: usize,
     /// Whether each texel gets its share where `max_pixels` are few for the texels.
     pub evenly: bool,
+    /// Whether each has an [`ImageGradient`], by which cameras are moved.
+    pub gradients: bool,
 }
 
 /// A pixel of a training photograph, before it is traced.

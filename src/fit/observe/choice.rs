@@ -32,7 +32,7 @@ pub fn choose_pixels(
     let few = choice.max_pixels / ENOUGH_PER_TEXEL < texels.iter().len();
     let drawn = if choice.evenly && few { DRAWN } else { 1 };
     let choice = PixelChoice { max_pixels: choice.max_pixels.saturating_mul(drawn), ..*choice };
-    candidates.0 = match Windows::new(&training).scattered(choice)? {
+    candidates.0 = match Windows::new(&training, choice.gradients).scattered(choice)? {
         Some(scattered) => scattered,
         None => any_of_all(&training, choice)?,
     };
@@ -56,7 +56,7 @@ fn any_of_all(training: &SharedViews, choice: PixelChoice) -> Result<Vec<Candida
             format!("no usable foreground pixel in {views} training views (masked out, or all saturated)"),
         ));
     }
-    candidates_of(training, &counts, &shuffled(total, choice))
+    candidates_of(training, &counts, &shuffled(total, choice), choice.gradients)
 }
 
 /// From so many times the pixels that may be chosen on, a part of them is looked at.
@@ -71,17 +71,18 @@ pub(super) struct Windows<'a> {
     /// The number of each view's first pixel.
     first: Vec<usize>,
     total: usize,
+    gradients: bool,
 }
 
 impl<'a> Windows<'a> {
-    pub fn new(training: &'a SharedViews<'a>) -> Self {
+    pub fn new(training: &'a SharedViews<'a>, gradients: bool) -> Self {
         let mut total = 0;
         let mut first = Vec::with_capacity(training.items.len());
         for view in &training.items {
             first.push(total);
             total += view.window().len();
         }
-        Self { training, first, total }
+        Self { training, first, total, gradients }
     }
 
     /// About as many usable pixels as may be chosen, in a random order: one at random of each of as many equal strata as are needed, so that each
@@ -119,7 +120,7 @@ impl<'a> Windows<'a> {
                 let place = numbers.contains(&number).then(|| number - numbers.start)?;
                 Some(window.pixel(place, view.camera.width)).filter(|pixel| view.is_usable(*pixel))
             };
-            some.filter_map(pixel_of).map(|pixel| view.candidate(pixel)).collect()
+            some.filter_map(pixel_of).map(|pixel| view.candidate(pixel, self.gradients)).collect()
         };
         Ok(self.training.each(of_view)?.into_iter().flatten().collect())
     }
@@ -140,7 +141,12 @@ fn shuffled(total: usize, choice: PixelChoice) -> Vec<u32> {
 }
 
 /// The pixels with these numbers, counted over the usable pixels of all views.
-fn candidates_of(training: &SharedViews, counts: &[usize], chosen: &[u32]) -> Result<Vec<Candidate>> {
+fn candidates_of(
+    training: &SharedViews,
+    counts: &[usize],
+    chosen: &[u32],
+    gradients: bool,
+) -> Result<Vec<Candidate>> {
     let mut by_number: Vec<(u32, u32)> =
         chosen.iter().zip(0..).map(|(number, place)| (*number, place)).collect();
     by_number.par_sort_unstable();
@@ -153,7 +159,7 @@ fn candidates_of(training: &SharedViews, counts: &[usize], chosen: &[u32]) -> Re
         parts.push((first, of_view));
         (rest, first) = (others, first + count);
     }
-    let found = training.each(|at, view| view.candidates(parts[at].0, parts[at].1))?;
+    let found = training.each(|at, view| view.candidates(parts[at].0, parts[at].1, gradients))?;
     let mut candidates = vec![Candidate::default(); chosen.len()];
     for ((_, place), candidate) in by_number.iter().zip(found.into_iter().flatten()) {
         candidates[*place as usize] = candidate;

@@ -6,11 +6,12 @@ use crate::error::{Error, Result};
 use crate::fit::components::TexelSeen;
 use crate::material::Texels;
 use crate::math::ray::{Intersect, Ray};
+use crate::pipeline::pool::Pool;
 use crate::pipeline::{Phase, Pipeline, SystemResult};
 use crate::sample::Samples;
 use crate::sample::bundle::{FitSample, despawn_pool};
 use crate::sample::observation::{
-    Observation, ObservationIndex, Observations, ObservedWindow, despawn_observations,
+    Observation, ObservationIndex, Observations, ObservedGradient, ObservedWindow, despawn_observations,
 };
 use crate::sample::pixel::{ImageGradient, Observed, PixelOf, SampleIndex, ViewRay};
 use crate::sample::point::{Scenery, SurfacePoint};
@@ -77,7 +78,7 @@ pub(super) fn usable_pixels(world: &mut World, of: ViewIndex, every: usize) -> V
     let mut views = world.query::<ViewColumns>();
     let training = training_views(views.iter(world), None);
     let chosen = training.items.iter().filter(|view| view.index == of);
-    chosen.flat_map(|view| view.usable().step_by(every).map(|pixel| view.candidate_alone(pixel))).collect()
+    chosen.flat_map(|view| view.usable().step_by(every).map(|pixel| view.candidate(pixel, false))).collect()
 }
 
 /// Runs Prepare, unless the pool that it would make of the photographs is there; returns the number of pixels.
@@ -138,10 +139,19 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
         check_interrupted()?;
         let trace = |candidate: &Candidate| candidate.trace(&cameras, scenery.as_ref());
         let traced: Vec<Option<Observation>> = part.par_iter().map(trace).collect::<Result<_>>()?;
-        let observations: Vec<(ObservationIndex, Observation)> =
-            (rows..).map(ObservationIndex).zip(traced.into_iter().flatten()).collect();
+        let met = part
+            .iter()
+            .zip(traced)
+            .filter_map(|(of, observation)| Some((observation?, ObservedGradient(of.gradient))));
+        let observations: Vec<(ObservationIndex, (Observation, ObservedGradient))> =
+            (rows..).map(ObservationIndex).zip(met).collect();
         rows += observations.len() as u32;
-        world.spawn_batch(observations);
+        if choice.gradients {
+            world.spawn_batch(observations);
+        } else {
+            let alone = observations.into_iter().map(|(index, (observation, _))| (index, observation));
+            world.spawn_batch(alone.collect::<Vec<_>>());
+        }
     }
     if rows == 0 {
         return Err(Error::usage(
@@ -190,12 +200,7 @@ impl Candidate {
         let ray = cameras.of(self.pixel.view)?.pixel_ray(self.pixel.pixel);
         let point = SurfacePoint::from(scenery.intersect(&ray, 0.0));
         let is_front = point.is_hit() && point.normal.dot(ray.direction) < 0.0;
-        Ok(is_front.then_some(Observation {
-            pixel: self.pixel,
-            observed: self.observed,
-            gradient: self.gradient,
-            point,
-        }))
+        Ok(is_front.then_some(Observation { pixel: self.pixel, observed: self.observed, point }))
     }
 }
 
@@ -208,13 +213,8 @@ pub(crate) fn spawn_samples(world: &mut World, batch: usize) {
 }
 
 /// The columns of a sample that say what it is a sample of.
-type TakenColumns = (
-    &'static mut PixelOf,
-    &'static mut Observed,
-    &'static mut ImageGradient,
-    &'static mut SurfacePoint,
-    &'static mut ViewRay,
-);
+type TakenColumns =
+    (&'static mut PixelOf, &'static mut Observed, &'static mut SurfacePoint, &'static mut ViewRay);
 
 /// Sample: takes the observed pixels of this step into the samples, with rays through the cameras as they are now.
 pub fn take_observations(
@@ -225,18 +225,28 @@ pub fn take_observations(
 ) -> SystemResult {
     let cameras: ByView<Camera> = views.iter().map(|(index, camera)| (*index, *camera)).collect();
     let observations = observations.rows(taken.0.clone())?;
-    let (mut pixels, mut observed, mut gradients, mut points, mut rays) = samples.columns()?;
-    let seen = pixels.par_iter_mut().zip(&mut *observed).zip(&mut *gradients);
-    let columns = seen.zip(&mut *points).zip(&mut *rays);
-    let take = |(((((pixel, observed), gradient), point), ray), from): (
-        ((((&mut _, &mut _), &mut _), &mut _), &mut ViewRay),
+    let (mut pixels, mut observed, mut points, mut rays) = samples.columns()?;
+    let columns = pixels.par_iter_mut().zip(&mut *observed).zip(&mut *points).zip(&mut *rays);
+    let take = |((((pixel, observed), point), ray), from): (
+        (((&mut _, &mut _), &mut _), &mut ViewRay),
         &Observation,
     )| {
-        (*pixel, *observed, *gradient, *point) = (from.pixel, from.observed, from.gradient, from.point);
+        (*pixel, *observed, *point) = (from.pixel, from.observed, from.point);
         ray.0 = cameras.of(from.pixel.view)?.pixel_ray(from.pixel.pixel);
         Ok(())
     };
     columns.zip(&*observations).with_min_len(1024).try_for_each(take).map_err(|error: Error| error.into())
+}
+
+/// Sample: takes their gradients, which they have if cameras are to be moved ([`PixelChoice::gradients`]).
+pub fn take_gradients(
+    taken: Res<ObservedWindow>,
+    observed: Pool<ObservationIndex, &'static ObservedGradient>,
+    samples: Samples<&mut ImageGradient>,
+) -> SystemResult {
+    let (observed, mut gradients) = (observed.rows(taken.0.clone())?, samples.columns()?);
+    gradients.iter_mut().zip(&*observed).for_each(|(gradient, from)| *gradient = from.0);
+    Ok(())
 }
 
 /// Gather: sums the weights of each texel over all observed pixels.

@@ -5,7 +5,7 @@ use crate::material::TexelIndex;
 use crate::math::ray::{Hit, TexelAddress};
 use crate::pipeline::Stage;
 use crate::view::{Image, Mask, Split, StoredMask};
-use glam::Affine3A;
+use glam::{Affine3A, Vec2};
 
 #[test]
 fn broken_pixels_of_one_photograph_are_not_fitted_to() {
@@ -58,7 +58,7 @@ fn a_pool_is_made_once_for_the_same_pixels_cameras_and_surface() {
     let gray = Photograph::of_image(&Image { width: 4, height: 4, pixels: vec![Vec3::splat(0.5); 16] });
     let view = world.spawn((ViewIndex(0), camera, gray, Split::Train)).id();
     world.insert_resource(Scenery(Arc::new(Wall)));
-    world.insert_resource(PixelChoice { seed: 1, max_pixels: 10, evenly: false });
+    world.insert_resource(PixelChoice { seed: 1, max_pixels: 10, evenly: false, gradients: false });
     world.spawn((TexelIndex(0), TexelSeen(0.0)));
     world.init_resource::<Candidates>();
     world.init_resource::<ObservedWindow>();
@@ -81,7 +81,7 @@ fn a_pool_is_made_once_for_the_same_pixels_cameras_and_surface() {
     assert!(pool_holds(&mut pipeline.world));
     pipeline.world.insert_resource(Scenery(Arc::new(Wall)));
     assert!(!pool_holds(&mut pipeline.world));
-    pipeline.world.insert_resource(PixelChoice { seed: 1, max_pixels: 12, evenly: false });
+    pipeline.world.insert_resource(PixelChoice { seed: 1, max_pixels: 12, evenly: false, gradients: false });
     assert_eq!(make_pool(&mut pipeline).unwrap(), 12);
     release_pool(&mut pipeline.world);
     assert!(!pool_holds(&mut pipeline.world));
@@ -123,8 +123,8 @@ fn scattered_pixels_are_usable_and_each_view_has_its_share() {
         limit: f32::MAX,
     };
     let views = SharedViews::new((0..20).map(of_index).collect(), None, |_| None);
-    let choice = PixelChoice { seed: 3, max_pixels: 50_000, evenly: false };
-    let chosen = Windows::new(&views).scattered(choice).unwrap().unwrap();
+    let choice = PixelChoice { seed: 3, max_pixels: 50_000, evenly: false, gradients: false };
+    let chosen = Windows::new(&views, false).scattered(choice).unwrap().unwrap();
     assert!((49_000..=50_000).contains(&chosen.len()), "{}", chosen.len());
     let distinct: std::collections::BTreeSet<(u32, u32)> =
         chosen.iter().map(|c| (c.pixel.view.0, c.pixel.pixel)).collect();
@@ -140,5 +140,29 @@ fn scattered_pixels_are_usable_and_each_view_has_its_share() {
     let below = chosen.iter().filter(|c| c.pixel.pixel / SIDE > 500).count() as f64 / chosen.len() as f64;
     assert!((below - 0.5).abs() < 0.01, "{below}");
     let one = views.filtered(|view| view.index == ViewIndex(0));
-    assert!(Windows::new(&one).scattered(choice).unwrap().is_none(), "few enough to look at all");
+    assert!(Windows::new(&one, false).scattered(choice).unwrap().is_none(), "few enough to look at all");
+}
+
+#[test]
+fn gradients_are_those_of_the_picture_where_its_neighbors_are_usable() {
+    let (camera, photograph, mask) = view();
+    let view = ObservedView {
+        index: ViewIndex(0),
+        camera: &camera,
+        photograph: &photograph,
+        mask: Some(&mask),
+        limit: f32::MAX,
+    };
+    let at = |x: u32, y: u32| view.candidate((y * SIDE + x) as usize, true).gradient.0;
+    // The mean of three channels is (x + y) / 3600, as half floats.
+    let found = at(800, 500).unwrap();
+    assert!((found * 3600.0 - Vec2::ONE).abs().max_element() < 0.3, "{found}");
+    assert_eq!([at(601, 500).is_some(), at(600, 500).is_some()], [true, false], "beside saturated pixels");
+    let edge = (0..SIDE).rfind(|x| mask.coverage((500 * SIDE + x) as usize) > 0.0).unwrap();
+    assert_eq!(
+        [at(edge - 1, 500).is_some(), at(edge, 500).is_some()],
+        [true, false],
+        "at the edge of the mask"
+    );
+    assert_eq!(view.candidate((500 * SIDE + 800) as usize, false).gradient, ImageGradient(None));
 }

@@ -79,23 +79,20 @@ impl ObservedView<'_> {
     }
 
     /// The usable pixels with these numbers, in rising order, of which the first has number `first`.
-    pub fn candidates(&self, first: usize, numbers: &[(u32, u32)]) -> Vec<Candidate> {
+    pub fn candidates(&self, first: usize, numbers: &[(u32, u32)], gradients: bool) -> Vec<Candidate> {
         let mut wanted = numbers.iter().map(|(number, _)| *number as usize - first).peekable();
         let is_wanted = |(number, _): &(usize, usize)| wanted.next_if_eq(number).is_some();
-        self.usable().enumerate().filter(is_wanted).map(|(_, pixel)| self.candidate(pixel)).collect()
+        let found = self.usable().enumerate().filter(is_wanted);
+        found.map(|(_, pixel)| self.candidate(pixel, gradients)).collect()
     }
 
-    pub fn candidate(&self, pixel: usize) -> Candidate {
-        Candidate { gradient: self.gradient(pixel), ..self.candidate_alone(pixel) }
-    }
-
-    /// The same without what needs the pixels around it.
-    pub fn candidate_alone(&self, pixel: usize) -> Candidate {
+    /// The pixel as a candidate, with its gradient or without.
+    pub fn candidate(&self, pixel: usize, gradients: bool) -> Candidate {
         let (radiance, saturated) = (self.photograph.radiance(pixel), self.photograph.is_saturated(pixel));
         Candidate {
             pixel: PixelOf { view: self.index, pixel: pixel as u32 },
             observed: Observed { radiance, saturated },
-            gradient: ImageGradient::default(),
+            gradient: if gradients { self.gradient(pixel) } else { ImageGradient(None) },
         }
     }
 

@@ -11,7 +11,10 @@ use super::colors::ColorPicture;
 use super::march::{depth, march};
 use super::neighbors::neighbors;
 use super::radiance_field::{FieldRay, RadianceField};
+use crate::error::Result;
 use crate::error::stop::is_stopping;
+use crate::ranks::Ranks;
+use crate::ranks::packed::divided;
 use crate::sdf::SdfGrid;
 use glam::{UVec3, Vec3, Vec4, Vec4Swizzles};
 use rayon::prelude::*;
@@ -36,16 +39,23 @@ const PASSES: usize = 8;
 const RELAXATION: f32 = 1.5;
 /// Parts of the rays that are summed apart.
 const PARTS: usize = 8;
+/// Rays that are marched one after another.
+const CHUNK: usize = 4096;
 
 /// How empty each vertex of a grid is, in (−1, 1), positive where photographs look through it. The field has been fitted to the rays.
+///
+/// # Errors
+/// If another process is gone.
 pub fn emptiness(
     grid: &SdfGrid,
     field: &RadianceField,
     pictures: &[ColorPicture],
     rays: &[FieldRay],
-) -> Vec<f32> {
+    ranks: Option<&Ranks>,
+) -> Result<Vec<f32>> {
     let by_surface = surface_errors(field, pictures, rays);
-    let evidence = evidence(field, pictures, rays, &by_surface);
+    let by_field = field_errors(field, pictures, rays, ranks)?;
+    let evidence = evidence(field, pictures, rays, &by_surface, &by_field);
     let is_accepted = accepted(grid, field, &evidence);
     let smooth = around(grid, field, &evidence);
     let of_vertex = |vertex: usize| {
@@ -60,7 +70,7 @@ pub fn emptiness(
             -1.0
         }
     };
-    (0..grid.values.len()).into_par_iter().map(of_vertex).collect()
+    Ok((0..grid.values.len()).into_par_iter().map(of_vertex).collect())
 }
 
 /// Squared error of each ray if the surface is opaque: its colors are those of a trilinear lattice that explain all rays best.
@@ -106,20 +116,41 @@ impl AddAssign for Evidence {
     }
 }
 
-/// The evidence at the vertex of each row; `by_surface` are the errors of the rays if the surface is opaque.
+/// Squared error of each ray with the field, and the depth at which it is stopped, infinite if it is not; `ranks` divide the rays.
+fn field_errors(
+    field: &RadianceField,
+    pictures: &[ColorPicture],
+    rays: &[FieldRay],
+    ranks: Option<&Ranks>,
+) -> Result<Vec<[f32; 2]>> {
+    let of_chunk = |chunk: usize| {
+        let mut samples = Vec::new();
+        let of_ray = |ray: &FieldRay| {
+            let (line, shown) = ray.of(pictures);
+            let (color, _) = march(field, &line, ray.surface, 0.0, &mut samples);
+            [(color - shown).length_squared() + NOISE, depth(&samples).unwrap_or(f32::INFINITY)]
+        };
+        let end = rays.len().min((chunk + 1) * CHUNK);
+        rays[chunk * CHUNK..end].iter().map(of_ray).collect()
+    };
+    Ok(divided(ranks, rays.len().div_ceil(CHUNK), of_chunk)?.into_iter().flatten().collect())
+}
+
+/// The evidence at the vertex of each row; `by_surface` are the errors of the rays if the surface is opaque, `by_field` those with the field, and depths.
 fn evidence(
     field: &RadianceField,
     pictures: &[ColorPicture],
     rays: &[FieldRay],
     by_surface: &[f32],
+    by_field: &[[f32; 2]],
 ) -> Vec<Evidence> {
     let margin = MARGIN * field.spacing;
     summed(rays, field.values.len(), |sums: &mut [Evidence], at, ray| {
-        let (line, shown) = ray.of(pictures);
-        let mut samples = Vec::new();
-        let (color, _) = march(field, &line, ray.surface, 0.0, &mut samples);
-        let Some(depth) = depth(&samples) else { return };
-        let by_field = (color - shown).length_squared() + NOISE;
+        let (line, _) = ray.of(pictures);
+        let [by_field, depth] = by_field[at];
+        if depth.is_infinite() {
+            return;
+        }
         let passing = Evidence { passed: 1.0, stopped: 0.0, by_surface: by_surface[at], by_field };
         let stopped = Evidence { stopped: 1.0, ..Evidence::default() };
         let mut distance = ray.surface - field.spacing;

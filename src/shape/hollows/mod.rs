@@ -81,10 +81,9 @@ pub(crate) fn carve_hollows(
     silhouettes: &[Silhouette],
     views: &TrainingViews,
     least_share: f32,
-    ranks: Option<&Ranks>,
 ) -> Result<f32> {
     let factor = picture_factor(grid, views);
-    let pictures = color_pictures(views, factor)?;
+    let (pictures, ranks) = (color_pictures(views, factor)?, views.ranks());
     let volume = |grid: &SdfGrid| grid.values.iter().filter(|value| **value < 0.0).count();
     let whole = volume(grid);
     let closed = grid.clone();
@@ -118,9 +117,9 @@ pub(crate) fn look_through(
     let factor = picture_factor(grid, views);
     let stride = views.items.len().div_ceil(MOST_VIEWS).max(1);
     let pictures = color_pictures(&views.every(stride), factor)?;
-    let rays = rays(grid, silhouettes, &pictures);
+    let rays = rays(grid, silhouettes, &pictures, views.ranks())?;
     let field = fit(grid, &pictures, &rays);
-    let empty = emptiness(grid, &field, &pictures, &rays);
+    let empty = emptiness(grid, &field, &pictures, &rays, views.ranks())?;
     let volume = |grid: &SdfGrid| grid.values.iter().filter(|value| **value < 0.0).count();
     let whole = volume(grid);
     if is_stopping() || empty.iter().all(|empty| *empty <= 0.0) {
@@ -145,13 +144,23 @@ pub(crate) fn keep_empty(grid: &mut SdfGrid, empty: &SdfGrid) {
 }
 
 /// The rays of all pixels that meet the surface and show the object alone.
-fn rays(grid: &SdfGrid, silhouettes: &[Silhouette], pictures: &[ColorPicture]) -> Vec<FieldRay> {
+fn rays(
+    grid: &SdfGrid,
+    silhouettes: &[Silhouette],
+    pictures: &[ColorPicture],
+    ranks: Option<&Ranks>,
+) -> Result<Vec<FieldRay>> {
     let bvh = TriangleBvh::new(&extract_parts(grid, silhouettes));
-    let of_picture = |(picture, colors): (u32, &ColorPicture)| {
-        let seen = (0..).zip(colors.cast(&bvh)).filter(|(_, surface)| surface.is_finite());
-        seen.map(|(place, surface)| FieldRay { picture, place, surface }).collect::<Vec<FieldRay>>()
+    let of_picture = |(picture, seen): (u32, Vec<f32>)| {
+        let seen = (0..).zip(seen).filter(|(_, surface)| surface.is_finite());
+        seen.map(move |(place, surface)| FieldRay { picture, place, surface })
     };
-    (0..pictures.len() as u32).into_par_iter().zip(pictures).flat_map_iter(of_picture).collect()
+    Ok((0..).zip(cast_all(&bvh, pictures, ranks)?).flat_map(of_picture).collect())
+}
+
+/// How far the rays of each picture go to the surface, as [`ColorPicture::cast`] finds it; `ranks` divide the pictures.
+fn cast_all(bvh: &TriangleBvh, pictures: &[ColorPicture], ranks: Option<&Ranks>) -> Result<Vec<Vec<f32>>> {
+    divided(ranks, pictures.len(), |picture| pictures[picture].cast(bvh))
 }
 
 /// The photographs in color, `factor` times smaller along each axis.
@@ -179,7 +188,7 @@ fn all_depths(
 ) -> Result<Vec<DepthMap>> {
     let bvh = TriangleBvh::new(&extract_parts(grid, silhouettes));
     let (center, _) = bvh.bounding_sphere();
-    let seen: Vec<Vec<f32>> = pictures.par_iter().map(|picture| picture.cast(&bvh)).collect();
+    let seen = cast_all(&bvh, pictures, ranks)?;
     let of_picture = |i: usize| {
         let sources: Vec<(&ColorPicture, &[f32])> =
             around(pictures, i, center).into_iter().map(|j| (&pictures[j], &*seen[j])).collect();

@@ -84,7 +84,7 @@ impl Pictures {
     /// The same on a grid of `cells` cells a side.
     fn carved_with(&self, cells: u32) -> (SdfGrid, SdfGrid, f32) {
         self.opened_by(cells, |hull, silhouettes, views| {
-            carve_hollows(hull, silhouettes, views, HULL_SHARE, None).unwrap()
+            carve_hollows(hull, silhouettes, views, HULL_SHARE).unwrap()
         })
     }
 

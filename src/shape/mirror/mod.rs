@@ -37,6 +37,8 @@ use crate::error::stop::is_stopping;
 use crate::light::placement::PlacedFrame;
 use crate::math::statistics::median;
 use crate::mesh::triangles::Mesh;
+use crate::ranks::Ranks;
+use crate::ranks::packed::divided;
 use crate::shape::stereo::TrainingViews;
 use crate::shape::stereo::votes::Shell;
 use crate::shape::vertex_graph::VertexGraph;
@@ -71,6 +73,8 @@ const LEAST_SIGHTS: usize = 6;
 const UNEXPLAINED: f64 = 0.1;
 /// Vertices a chunk, whose sums are added in order: the same bits with any number of threads.
 const CHUNK: usize = 2048;
+/// Vertices that are searched for one after another.
+const SEARCHED: usize = 256;
 
 /// What [`refine_normals`] did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -98,7 +102,7 @@ pub(crate) fn refine_normals(
     let shell = Shell::new(mesh);
     let given = merged_normals(mesh, &shell);
     let sights = sights(mesh, &shell, &given, views, frame)?;
-    let mut before = Model::new(&given, &sights, Some(ASIDE_EVERY));
+    let mut before = Model::new(&given, &sights, (Some(ASIDE_EVERY), views.ranks()));
     if before.is_empty() || go_on(0).is_break() {
         return Ok(report);
     }
@@ -108,13 +112,13 @@ pub(crate) fn refine_normals(
     if unexplained < UNEXPLAINED {
         return Ok(report);
     }
-    let Some(after) = searched(&before, &shell.graph, &mut go_on) else { return Ok(report) };
+    let Some(after) = searched(&before, &shell.graph, &mut go_on)? else { return Ok(report) };
     let error = after.error_aside() / before.error_aside().max(f64::MIN_POSITIVE);
     report.error = Some(error as f32);
     if error > BETTER || is_stopping() || go_on(ROUNDS.len()).is_break() {
         return Ok(report);
     }
-    report.turned_degrees = put(mesh, &shell, &given, &normals_by_all(after, &shell.graph));
+    report.turned_degrees = put(mesh, &shell, &given, &normals_by_all(after, &shell.graph)?);
     Ok(report)
 }
 
@@ -123,25 +127,25 @@ fn searched<'a>(
     before: &Model<'a>,
     graph: &VertexGraph,
     mut go_on: impl FnMut(usize) -> ControlFlow<()>,
-) -> Option<Model<'a>> {
+) -> Result<Option<Model<'a>>> {
     let mut model = before.clone();
     for (round, (degrees, rings)) in ROUNDS.into_iter().enumerate() {
         if go_on(round).is_break() {
-            return None;
+            return Ok(None);
         }
-        model.search(graph, degrees, rings);
+        model.search(graph, degrees, rings)?;
         model.solve_light(TURNS);
     }
-    Some(model)
+    Ok(Some(model))
 }
 
 /// The normals after another round of the finest search, in which no view is kept aside.
-fn normals_by_all(after: Model, graph: &VertexGraph) -> Vec<Vec3> {
+fn normals_by_all(after: Model, graph: &VertexGraph) -> Result<Vec<Vec3>> {
     let mut all = Model { aside: None, ..after };
     all.solve_light(TURNS);
     let (degrees, rings) = ROUNDS[ROUNDS.len() - 1];
-    all.search(graph, degrees, rings);
-    all.normals
+    all.search(graph, degrees, rings)?;
+    Ok(all.normals)
 }
 
 /// Rounds that `refine_normals` asks before.
@@ -176,10 +180,16 @@ struct Model<'a> {
     mirrored: DirectionTable,
     /// One view in so many does not count.
     aside: Option<u32>,
+    /// The processes that divide the search.
+    ranks: Option<&'a Ranks>,
 }
 
 impl<'a> Model<'a> {
-    fn new(given: &'a [Vec3], sights: &'a [Vec<VertexSight>], aside: Option<u32>) -> Self {
+    fn new(
+        given: &'a [Vec3],
+        sights: &'a [Vec<VertexSight>],
+        (aside, ranks): (Option<u32>, Option<&'a Ranks>),
+    ) -> Self {
         let mean = |sights: &Vec<VertexSight>| {
             let sum = |of: fn(&VertexSight) -> Vec3| sights.iter().map(of).sum::<Vec3>();
             let weight: f32 = sights.iter().map(|sight| sight.weight).sum();
@@ -192,7 +202,8 @@ impl<'a> Model<'a> {
             means.iter().map(|mean| VertexColors { diffuse: 0.7 * *mean, mirrored: Vec3::splat(usual) });
         let (irradiance, mirrored) =
             (DirectionTable::constant(Vec3::ONE), DirectionTable::constant(Vec3::ZERO));
-        Self { given, sights, normals: given.to_vec(), colors: colors.collect(), irradiance, mirrored, aside }
+        let (normals, colors) = (given.to_vec(), colors.collect());
+        Self { given, sights, normals, colors, irradiance, mirrored, aside, ranks }
     }
 
     fn is_empty(&self) -> bool {
@@ -255,7 +266,7 @@ impl<'a> Model<'a> {
     }
 
     /// A round of the search: all vertices try normals, and are then drawn toward their neighbors.
-    fn search(&mut self, graph: &VertexGraph, degrees: f32, rings: usize) {
+    fn search(&mut self, graph: &VertexGraph, degrees: f32, rings: usize) -> Result<()> {
         let of_vertex = |i: usize| {
             if self.sights[i].len() < LEAST_SIGHTS || is_stopping() {
                 return self.normals[i];
@@ -266,7 +277,12 @@ impl<'a> Model<'a> {
             })
             .unwrap_or(self.normals[i])
         };
-        let best: Vec<Vec3> = (0..self.normals.len()).into_par_iter().map(of_vertex).collect();
+        let count = self.normals.len();
+        let of_chunk = |chunk: usize| -> Vec<Vec3> {
+            (chunk * SEARCHED..count.min((chunk + 1) * SEARCHED)).map(of_vertex).collect()
+        };
+        let best = divided(self.ranks, count.div_ceil(SEARCHED), of_chunk)?;
+        let best: Vec<Vec3> = best.into_iter().flatten().collect();
         let drawn = |i: usize| {
             let near = graph.around(i);
             let mean = near.iter().map(|&j| best[j as usize]).sum::<Vec3>() / near.len().max(1) as f32;
@@ -274,6 +290,7 @@ impl<'a> Model<'a> {
         };
         self.normals = (0..best.len()).into_par_iter().map(drawn).collect();
         self.solve_colors();
+        Ok(())
     }
 
     /// Weighted squared radiance of the sights kept aside.

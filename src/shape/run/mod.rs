@@ -313,10 +313,8 @@ fn next_surface(
     let are_alike = !world.get_resource::<Exposures>().is_some_and(Exposures::are_unknown);
     if options.hollows && are_alike && index == 1 && !is_mirror_like(world) && !light_turns(world) {
         let _opening = stage("hollows");
-        let ranks = world.get_resource::<Ranks>().cloned();
-        opened = with_training_views(world, |views| {
-            carve_hollows(&mut grid, silhouettes, views, LEVEL_SHARE, ranks.as_ref())
-        })?;
+        opened =
+            with_training_views(world, |views| carve_hollows(&mut grid, silhouettes, views, LEVEL_SHARE))?;
     }
     let albedo = recovered_albedo(world)?;
     let next = with_texels(world, grid, level, Some((&found.volume, &albedo)));
@@ -359,10 +357,9 @@ fn reduce_hull(
     }
     if options.hollows && !light_turns(world) {
         let _opening = stage("hollows");
-        let ranks = world.get_resource::<Ranks>().cloned();
         (report.opened, empty) = with_training_views(world, |views| -> Result<_> {
             let (seen_through, empty) = look_through(hull, silhouettes, views)?;
-            let compared = carve_hollows(hull, silhouettes, views, HULL_SHARE, ranks.as_ref())?;
+            let compared = carve_hollows(hull, silhouettes, views, HULL_SHARE)?;
             Ok((1.0 - (1.0 - seen_through) * (1.0 - compared), empty))
         })?;
     }

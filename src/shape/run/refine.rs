@@ -3,7 +3,6 @@
 use crate::error::Result;
 use crate::light::placement::PlacedFrame;
 use crate::mesh::triangles::Mesh;
-use crate::ranks::Ranks;
 use crate::sdf::volume::SdfSurface;
 use crate::shape::field::ModelError;
 use crate::shape::hollows::keep_empty;
@@ -42,8 +41,8 @@ pub(crate) fn refine_by_stereo(
     go_on: impl FnMut(usize) -> ControlFlow<()>,
 ) -> Result<StereoReport> {
     let Some(error) = world.remove_resource::<ModelError>() else { return Ok(StereoReport::default()) };
-    let (silhouettes, ranks) = (training_silhouettes(world), world.get_resource::<Ranks>().cloned());
-    let known = StereoGuides { silhouettes: &silhouettes, error: &error, ranks: ranks.as_ref() };
+    let silhouettes = training_silhouettes(world);
+    let known = StereoGuides { silhouettes: &silhouettes, error: &error };
     with_training_views(world, |views| refine(mesh, views, &known, go_on))
 }
 

@@ -120,8 +120,6 @@ pub struct StereoGuides<'a> {
     pub silhouettes: &'a [Silhouette],
     /// What the shading leaves unexplained.
     pub error: &'a ModelError,
-    /// The processes that divide the views.
-    pub ranks: Option<&'a Ranks>,
 }
 
 /// Moves the vertices of `mesh` to where the photographs agree, where that is better known than by shading. `go_on` is asked before each round.
@@ -143,7 +141,7 @@ pub fn refine(
             break;
         }
         let pictures = match_pictures(views, finest * relative)?;
-        let trusted = refine_round(mesh, &pictures, guides, search, &mut object)?;
+        let trusted = refine_round(mesh, (&pictures, views.ranks()), guides, search, &mut object)?;
         if trusted == 0.0 {
             break;
         }
@@ -202,14 +200,14 @@ fn finest_factor(mesh: &Mesh, views: &TrainingViews) -> Option<u32> {
 /// stereo serves this object at all, from the first round.
 fn refine_round(
     mesh: &mut Mesh,
-    pictures: &[MatchPicture],
-    StereoGuides { silhouettes, error, ranks }: &StereoGuides,
+    (pictures, ranks): (&[MatchPicture], Option<&Ranks>),
+    StereoGuides { silhouettes, error }: &StereoGuides,
     search: Sweep,
     object: &mut Option<f32>,
 ) -> Result<f32> {
     let bvh = TriangleBvh::new(mesh);
     let shell = Shell::new(mesh);
-    let votes = all_votes(&bvh, &shell, pictures, search, *ranks)?;
+    let votes = all_votes(&bvh, &shell, pictures, search, ranks)?;
     if is_stopping() {
         return Ok(0.0);
     }
@@ -224,7 +222,7 @@ fn refine_round(
     if follow < LEAST_TRUSTED {
         return Ok(0.0);
     }
-    let outlines = Contours::new(&shell, &bvh).votes(silhouettes, *ranks)?;
+    let outlines = Contours::new(&shell, &bvh).votes(silhouettes, ranks)?;
     let outlines: Vec<Plate> = outlines.of_vertices.iter().map(Vote::plate).collect();
     let moved = moved_positions(&bvh, &shell, pictures, &votes, &trust, &outlines);
     put(mesh, &shell, &moved);
@@ -269,8 +267,8 @@ fn all_votes(
     ranks: Option<&Ranks>,
 ) -> Result<Vec<Votes>> {
     let (center, _) = bvh.bounding_sphere();
-    let cast = |picture| if is_stopping() { Vec::new() } else { cast(bvh, picture) };
-    let seen: Vec<Vec<Seen>> = pictures.par_iter().map(cast).collect();
+    let cast = |i: usize| if is_stopping() { Vec::new() } else { cast(bvh, &pictures[i]) };
+    let seen: Vec<Vec<Seen>> = divided(ranks, pictures.len(), cast)?;
     let of_views = |views: &[usize]| {
         let mut votes = vec![Votes::default(); shell.positions.len()];
         for &i in views.iter().take_while(|_| !is_stopping()) {

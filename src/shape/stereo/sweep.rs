@@ -6,6 +6,7 @@
 //! with box windows. The slant of the surface is that of the mesh, so that no normals need a search.
 
 use crate::mesh::bvh::TriangleBvh;
+use crate::ranks::packed::PackedFloats;
 use crate::shape::stereo::match_picture::MatchPicture;
 use glam::Vec3;
 
@@ -46,6 +47,16 @@ pub struct Seen {
     pub distance: f32,
     /// The triangle there.
     triangle: u32,
+}
+
+impl PackedFloats<2> for Seen {
+    fn to_floats(self) -> [f32; 2] {
+        [self.distance, f32::from_bits(self.triangle)]
+    }
+
+    fn of_floats([distance, triangle]: [f32; 2]) -> Self {
+        Self { distance, triangle: triangle.to_bits() }
+    }
 }
 
 impl Seen {

@@ -86,7 +86,7 @@ fn off(mesh: &Mesh) -> f32 {
 
 /// Without masks.
 fn guided(error: &ModelError) -> StereoGuides<'_> {
-    StereoGuides { silhouettes: &[], error, ranks: None }
+    StereoGuides { silhouettes: &[], error }
 }
 
 #[test]
