@@ -114,7 +114,7 @@ impl Default for FitOptions {
             milestones: vec![0.5, 0.75, 0.9],
             decay: 0.4,
             unknowns: Unknowns::default(),
-            pixels: PixelChoice { seed: 0, max_pixels: 2_000_000, evenly: false, gradients: false },
+            pixels: PixelChoice { seed: 0, max_pixels: 2_000_000, evenly: false },
             keeps_pool: false,
             initialize: Initialize::ALL,
             visibility: false,

@@ -2,7 +2,6 @@
 
 use crate::error::stop::{finish_stopping, is_stopping};
 use crate::error::{Error, Result};
-use crate::fit::cameras::CameraUnknowns;
 use crate::fit::components::Unknowns;
 use crate::fit::exposure::{ExposureChoice, Exposures};
 use crate::fit::groups::forget_visibility;
@@ -207,7 +206,6 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
                 seed: session.scene.seed,
                 max_pixels: pass.max_pixels as usize,
                 evenly: false,
-                gradients: pass.cameras != CameraUnknowns::Given,
             },
             keeps_pool: false,
             initialize: session.initialize,

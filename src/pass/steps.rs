@@ -73,12 +73,7 @@ pub(super) fn options(session: &mut Session, pass: &FitPass, done: Done) -> Resu
         milestones: pass.milestones.clone(),
         decay: pass.decay,
         unknowns: session.unknowns(),
-        pixels: PixelChoice {
-            seed: session.scene.seed,
-            max_pixels: pass.max_pixels as usize,
-            evenly: true,
-            gradients: pass.cameras != CameraUnknowns::Given,
-        },
+        pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize, evenly: true },
         keeps_pool: true,
         initialize: session.initialize,
         // The published formulas are for comparison and include neither shadows nor interreflection.

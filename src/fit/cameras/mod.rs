@@ -19,7 +19,7 @@ use crate::fit::cameras::align::{
 use crate::fit::components::StepRates;
 use crate::fit::exposure::Exposures;
 use crate::fit::guard::{StepGuard, is_usable};
-use crate::fit::observe::take_gradients;
+use crate::fit::observe::{GradientsNeeded, take_gradients};
 use crate::math::ray::Intersect;
 use crate::math::shading::Layers;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
@@ -164,6 +164,7 @@ pub struct CameraPlugin(pub CameraUnknowns);
 impl Plugin for CameraPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         attach_poses(&mut pipeline.world);
+        pipeline.world.insert_resource(GradientsNeeded);
         let mut fit = pipeline.world.resource_mut::<CameraFit>();
         (fit.unknowns, fit.object_moves) = (self.0, false);
         pipeline
@@ -171,6 +172,10 @@ impl Plugin for CameraPlugin {
             .swap(Phase::FitStep, Slot::Retrace, retrace_still_surface)
             .swap(Phase::FitStep, Slot::CameraGradient, align_photographs)
             .swap(Phase::FitStep, Slot::CameraUpdate, move_cameras);
+    }
+
+    fn cleanup(world: &mut World) {
+        world.remove_resource::<GradientsNeeded>();
     }
 }
 

@@ -13,9 +13,11 @@ pub struct PixelChoice {
     pub max_pixels: usize,
     /// Whether each texel gets its share where `max_pixels` are few for the texels.
     pub evenly: bool,
-    /// Whether each has an [`ImageGradient`], by which cameras are moved.
-    pub gradients: bool,
 }
+
+/// There if each observed pixel is to have its [`ImageGradient`], by which cameras are moved.
+#[derive(Resource, Clone, Copy, Debug, Default)]
+pub struct GradientsNeeded;
 
 /// A pixel of a training photograph, before it is traced.
 #[derive(Clone, Copy, Default, Serialize, Deserialize)]

@@ -1,6 +1,6 @@
 //! The choice of pixels for a fit.
 
-use super::candidate::{Candidate, Candidates, PixelChoice};
+use super::candidate::{Candidate, Candidates, GradientsNeeded, PixelChoice};
 use super::views::{ObservedView, SharedViews, ViewColumns, training_views, usable_counts};
 use crate::error::{Error, Result};
 use crate::light::placement::{LightGroup, Placements};
@@ -25,16 +25,18 @@ pub fn choose_pixels(
     choice: Res<PixelChoice>,
     views: Query<ViewColumns>,
     (placed, placements): (Query<(&ViewIndex, &Placement)>, Option<Res<Placements>>),
-    (texels, ranks): (Query<(), With<TexelIndex>>, Option<Res<Ranks>>),
+    texels: Query<(), With<TexelIndex>>,
+    (ranks, gradients): (Option<Res<Ranks>>, Option<Res<GradientsNeeded>>),
     mut candidates: ResMut<Candidates>,
 ) -> SystemResult {
     let training = training_views(views.iter(), ranks.as_deref());
+    let gradients = gradients.is_some();
     let few = choice.max_pixels / ENOUGH_PER_TEXEL < texels.iter().len();
     let drawn = if choice.evenly && few { DRAWN } else { 1 };
     let choice = PixelChoice { max_pixels: choice.max_pixels.saturating_mul(drawn), ..*choice };
-    candidates.0 = match Windows::new(&training, choice.gradients).scattered(choice)? {
+    candidates.0 = match Windows::new(&training, gradients).scattered(choice)? {
         Some(scattered) => scattered,
-        None => any_of_all(&training, choice)?,
+        None => any_of_all(&training, choice, gradients)?,
     };
     // Steps visit groups of photographs one at a time.
     if let Some(placements) = placements.filter(|placements| placements.has_groups()) {
@@ -46,7 +48,7 @@ pub fn choose_pixels(
 }
 
 /// Usable pixels in a random order, cut short; every pixel of every view is looked at.
-fn any_of_all(training: &SharedViews, choice: PixelChoice) -> Result<Vec<Candidate>> {
+fn any_of_all(training: &SharedViews, choice: PixelChoice, gradients: bool) -> Result<Vec<Candidate>> {
     let counts = usable_counts(training)?;
     let total: usize = counts.iter().sum();
     if total == 0 {
@@ -56,7 +58,7 @@ fn any_of_all(training: &SharedViews, choice: PixelChoice) -> Result<Vec<Candida
             format!("no usable foreground pixel in {views} training views (masked out, or all saturated)"),
         ));
     }
-    candidates_of(training, &counts, &shuffled(total, choice), choice.gradients)
+    candidates_of(training, &counts, &shuffled(total, choice), gradients)
 }
 
 /// From so many times the pixels that may be chosen on, a part of them is looked at.

@@ -25,7 +25,7 @@ use std::sync::Arc;
 use views::{ObservedView, ViewColumns, training_views, usable_counts};
 
 pub(in crate::fit) use candidate::Candidate;
-pub use candidate::{Candidates, PixelChoice};
+pub use candidate::{Candidates, GradientsNeeded, PixelChoice};
 pub use choice::choose_pixels;
 
 mod candidate;
@@ -42,6 +42,8 @@ struct PoolMade {
     choice: PixelChoice,
     cameras: Vec<(ViewIndex, Camera)>,
     scenery: Arc<dyn Intersect>,
+    /// Whether pixels have gradients.
+    gradients: bool,
     rows: usize,
 }
 
@@ -102,8 +104,10 @@ pub(super) fn make_pool(pipeline: &mut Pipeline) -> Result<usize> {
 fn pool_holds(world: &mut World) -> bool {
     let cameras = cameras_in_order(world);
     let (choice, scenery) = (*world.resource::<PixelChoice>(), world.resource::<Scenery>().0.clone());
+    let needs_gradients = world.contains_resource::<GradientsNeeded>();
     let holds = |made: &&PoolMade| {
-        made.choice == choice && made.cameras == cameras && Arc::ptr_eq(&made.scenery, &scenery)
+        let is_seen_alike = made.cameras == cameras && Arc::ptr_eq(&made.scenery, &scenery);
+        made.choice == choice && is_seen_alike && (made.gradients || !needs_gradients)
     };
     let Some(rows) = world.get_resource().filter(holds).map(|made| made.rows) else { return false };
     world.resource_mut::<ObservedWindow>().0 = 0..rows;
@@ -131,6 +135,7 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
     let made_with = cameras_in_order(world);
     let cameras: ByView<Camera> = made_with.iter().copied().collect();
     let choice = *world.resource::<PixelChoice>();
+    let gradients = world.contains_resource::<GradientsNeeded>();
     let chosen = with_even_shares(chosen, choice, &cameras, scenery.as_ref())?;
     release_pool(world);
     let mut rows = 0;
@@ -146,12 +151,7 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
         let observations: Vec<(ObservationIndex, (Observation, ObservedGradient))> =
             (rows..).map(ObservationIndex).zip(met).collect();
         rows += observations.len() as u32;
-        if choice.gradients {
-            world.spawn_batch(observations);
-        } else {
-            let alone = observations.into_iter().map(|(index, (observation, _))| (index, observation));
-            world.spawn_batch(alone.collect::<Vec<_>>());
-        }
+        spawn_observations(world, observations, gradients);
     }
     if rows == 0 {
         return Err(Error::usage(
@@ -162,8 +162,22 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
     }
     let rows = rows as usize;
     world.resource_mut::<ObservedWindow>().0 = 0..rows;
-    world.insert_resource(PoolMade { choice, cameras: made_with, scenery, rows });
+    world.insert_resource(PoolMade { choice, cameras: made_with, scenery, gradients, rows });
     Ok(())
+}
+
+/// Spawns observed pixels, with their gradients or without.
+fn spawn_observations(
+    world: &mut World,
+    observations: Vec<(ObservationIndex, (Observation, ObservedGradient))>,
+    gradients: bool,
+) {
+    if gradients {
+        world.spawn_batch(observations);
+    } else {
+        let alone = observations.into_iter().map(|(index, (observation, _))| (index, observation));
+        world.spawn_batch(alone.collect::<Vec<_>>());
+    }
 }
 
 /// Of more pixels than there is room for those that give each texel its share, in the same order.
@@ -238,7 +252,7 @@ pub fn take_observations(
     columns.zip(&*observations).with_min_len(1024).try_for_each(take).map_err(|error: Error| error.into())
 }
 
-/// Sample: takes their gradients, which they have if cameras are to be moved ([`PixelChoice::gradients`]).
+/// Sample: takes their gradients, which they have if cameras are to be moved ([`GradientsNeeded`]).
 pub fn take_gradients(
     taken: Res<ObservedWindow>,
     observed: Pool<ObservationIndex, &'static ObservedGradient>,

@@ -58,7 +58,7 @@ fn a_pool_is_made_once_for_the_same_pixels_cameras_and_surface() {
     let gray = Photograph::of_image(&Image { width: 4, height: 4, pixels: vec![Vec3::splat(0.5); 16] });
     let view = world.spawn((ViewIndex(0), camera, gray, Split::Train)).id();
     world.insert_resource(Scenery(Arc::new(Wall)));
-    world.insert_resource(PixelChoice { seed: 1, max_pixels: 10, evenly: false, gradients: false });
+    world.insert_resource(PixelChoice { seed: 1, max_pixels: 10, evenly: false });
     world.spawn((TexelIndex(0), TexelSeen(0.0)));
     world.init_resource::<Candidates>();
     world.init_resource::<ObservedWindow>();
@@ -81,7 +81,7 @@ fn a_pool_is_made_once_for_the_same_pixels_cameras_and_surface() {
     assert!(pool_holds(&mut pipeline.world));
     pipeline.world.insert_resource(Scenery(Arc::new(Wall)));
     assert!(!pool_holds(&mut pipeline.world));
-    pipeline.world.insert_resource(PixelChoice { seed: 1, max_pixels: 12, evenly: false, gradients: false });
+    pipeline.world.insert_resource(PixelChoice { seed: 1, max_pixels: 12, evenly: false });
     assert_eq!(make_pool(&mut pipeline).unwrap(), 12);
     release_pool(&mut pipeline.world);
     assert!(!pool_holds(&mut pipeline.world));
@@ -123,7 +123,7 @@ fn scattered_pixels_are_usable_and_each_view_has_its_share() {
         limit: f32::MAX,
     };
     let views = SharedViews::new((0..20).map(of_index).collect(), None, |_| None);
-    let choice = PixelChoice { seed: 3, max_pixels: 50_000, evenly: false, gradients: false };
+    let choice = PixelChoice { seed: 3, max_pixels: 50_000, evenly: false };
     let chosen = Windows::new(&views, false).scattered(choice).unwrap().unwrap();
     assert!((49_000..=50_000).contains(&chosen.len()), "{}", chosen.len());
     let distinct: std::collections::BTreeSet<(u32, u32)> =

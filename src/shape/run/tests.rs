@@ -121,7 +121,7 @@ fn albedo_fit(steps: u32) -> FitOptions {
         milestones: vec![],
         decay: 1.0,
         unknowns: only_albedo,
-        pixels: PixelChoice { seed: 1, max_pixels: 100_000, evenly: false, gradients: false },
+        pixels: PixelChoice { seed: 1, max_pixels: 100_000, evenly: false },
         initialize: Initialize { light: false, albedo: true, specular: false },
         scale: ScaleRule::Free,
         ..FitOptions::default()
