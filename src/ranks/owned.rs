@@ -2,7 +2,7 @@
 //!
 //! | name | unit | value | meaning |
 //! | --- | --- | --- | --- |
-//! | [`AT_A_TIME`] | | 32 | items that are worked on before the processes exchange what they have made of them |
+//! | `AT_A_TIME` | | 32 | items that are worked on before the processes exchange what they have made of them |
 
 use super::{OTHER_DATA, Ranks, broken};
 use crate::error::Result;
