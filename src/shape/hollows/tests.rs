@@ -2,7 +2,7 @@ use super::*;
 use crate::shape::hull::visual_hull;
 use crate::shape::hull_repair::regrow;
 use crate::shape::silhouette::Silhouette;
-use crate::view::Placement;
+use crate::shape::stereo::everybodys_views;
 use crate::view::{Camera, Image, Mask, Photograph, StoredMask};
 use glam::UVec3;
 
@@ -62,13 +62,7 @@ impl Pictures {
 
     fn views(&self) -> TrainingViews<'_> {
         let parts = self.cameras.iter().zip(&self.photographs).zip(&self.masks);
-        let views = parts.map(|((camera, photograph), mask)| StereoView {
-            camera,
-            photograph,
-            mask,
-            placement: Placement(0),
-        });
-        TrainingViews::new(views.collect(), None, |_| None)
+        everybodys_views(parts.map(|((camera, photograph), mask)| (camera, photograph, mask)))
     }
 
     fn silhouettes(&self) -> Vec<Silhouette> {

@@ -3,8 +3,7 @@ use crate::light::light_frame::LightFrame;
 use crate::light::placement::{PlacedFrame, Placements};
 use crate::math::fibonacci::fibonacci_axes;
 use crate::mesh::primitive::sphere_mesh;
-use crate::shape::stereo::StereoView;
-use crate::view::Placement;
+use crate::shape::stereo::everybodys_views;
 use crate::view::{Camera, Image, Mask, Photograph, StoredMask};
 
 /// Width and height of the photographs.
@@ -63,13 +62,7 @@ fn photographed(
 
 /// The photographs as views of which each process has all.
 fn views_of(shot: &[(Camera, Photograph, StoredMask)]) -> TrainingViews<'_> {
-    let views = shot.iter().map(|(camera, photograph, mask)| StereoView {
-        camera,
-        photograph,
-        mask,
-        placement: Placement(0),
-    });
-    TrainingViews::new(views.collect(), None, |_| None)
+    everybodys_views(shot.iter().map(|(camera, photograph, mask)| (camera, photograph, mask)))
 }
 
 /// Refines the normals of a ball; returns the report, and mean angles to `truth` before and after, in degrees.

@@ -104,6 +104,15 @@ pub struct StereoView<'a> {
 /// The training views, the photographs of which several processes may share.
 pub type TrainingViews<'a> = OwnedItems<'a, StereoView<'a>>;
 
+/// Views of one placement whose photographs each process has.
+#[cfg(test)]
+pub(crate) fn everybodys_views<'a>(
+    shot: impl Iterator<Item = (&'a Camera, &'a Photograph, &'a StoredMask)>,
+) -> TrainingViews<'a> {
+    let view = |(camera, photograph, mask)| StereoView { camera, photograph, mask, placement: Placement(0) };
+    TrainingViews::new(shot.map(view).collect(), None, |_| None)
+}
+
 /// What [`refine`] did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StereoReport {

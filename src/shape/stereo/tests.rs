@@ -37,13 +37,7 @@ impl Pictures {
 
     fn views(&self) -> TrainingViews<'_> {
         let parts = self.cameras.iter().zip(&self.photographs).zip(&self.masks);
-        let views = parts.map(|((camera, photograph), mask)| StereoView {
-            camera,
-            photograph,
-            mask,
-            placement: Placement(0),
-        });
-        TrainingViews::new(views.collect(), None, |_| None)
+        everybodys_views(parts.map(|((camera, photograph), mask)| (camera, photograph, mask)))
     }
 }
 
