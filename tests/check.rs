@@ -43,6 +43,8 @@ fn good_data_is_described() {
         assert!(text.contains(words), "no `{words}` in:\n{text}");
     }
     assert_eq!(outcome.stderr, "");
+    let shared = check_data(&data, &["--processes", "4"]).succeeded().stdout;
+    assert!(shared.contains("in each of 4 processes"), "{shared}");
     // Without --data it is the scene file alone that is looked at.
     let without = check(&data, SCENE, &[]).succeeded().stdout;
     assert!(without.contains("below $DATA not looked for") && !without.contains("PhySg"), "{without}");

@@ -1,6 +1,7 @@
 //! Many objects and frames: units, whatever runs them, and what they come to.
 
 use crate::common::{Data, Outcome, command};
+use saphyr::{LoadableYamlNode, Yaml};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -61,6 +62,16 @@ fn frames_are_units_and_join_to_the_same_film() {
     let film = |path: PathBuf| fs::read(path).unwrap();
     assert!(film(out.join("turn.mp4")) == film(data.path("whole/turn/orbit.mp4")), "the films differ");
     assert!(!out.join(&units[0]).join("still").exists(), "a unit of a film runs its pass alone");
+    // A frame that was cut short.
+    let whole = film(frame.clone());
+    fs::write(&frame, &whole[..whole.len() / 2]).unwrap();
+    let cut = Outcome::of(command(&["report"]).arg(&out)).succeeded();
+    assert!(
+        ["not joined: ", "000004.png", "--force"].iter().all(|word| cut.stdout.contains(word)),
+        "{}",
+        cut.stdout
+    );
+    fs::write(&frame, whole).unwrap();
     // A film of somebody else in its place.
     let joined = film(out.join("turn.mp4"));
     fs::write(out.join("turn.mp4"), "theirs").unwrap();
@@ -94,22 +105,116 @@ fn make_runs_all_units_and_goes_on_after_a_kill() {
         fs::read_to_string(&record).unwrap().replacen("\"state\": \"finished\"", "\"state\": \"running\"", 1);
     fs::write(&record, killed).unwrap();
     fs::remove_dir_all(out.join("vase/still")).unwrap();
-    let makefile = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/jobs/Makefile");
     let variable = |name: &str, path: &Path| format!("{name}={}", path.display());
     let mut make = Command::new("make");
-    make.arg("-j2").arg("-f").arg(makefile).arg(variable("JOBS", &table)).arg(variable("OUT", &out));
+    make.arg("-j2")
+        .arg("-f")
+        .arg(example("Makefile"))
+        .arg(variable("JOBS", &table))
+        .arg(variable("OUT", &out));
     make.arg(variable("LOBELIA", Path::new(env!("CARGO_BIN_EXE_lobelia")))).arg("THREADS=1");
     let made = Outcome::of(&mut make);
     made.succeeded();
     let units = fs::read_to_string(out.join("units.csv")).unwrap();
     assert!(units.contains("jug,finished") && units.contains("vase,finished"), "{units}");
     assert!(out.join("vase/still/a.png").exists());
+    fs::write(&table, "scene,name\nturn.ron,vase\nnone.ron,jug\n").unwrap();
+    let failed = Outcome::of(make.arg(variable("OUT", &data.path("other"))));
+    assert!(failed.code != Some(0) && failed.stdout.contains("jug: not begun"), "{}", failed.stdout);
+    assert!(data.path("other/vase/still/a.png").exists(), "one unit holds back another");
+}
+
+/// A `PATH` on which the program is called as examples call it.
+fn path_with_program() -> std::ffi::OsString {
+    let folder = Path::new(env!("CARGO_BIN_EXE_lobelia")).parent().unwrap().to_owned();
+    let usual = std::env::var_os("PATH").unwrap_or_default();
+    std::env::join_paths(std::iter::once(folder).chain(std::env::split_paths(&usual))).unwrap()
+}
+
+fn example(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/jobs").join(name)
+}
+
+#[cfg(unix)]
+#[test]
+fn a_pod_of_the_indexed_job_runs_its_unit() {
+    let (data, ..) = jobs();
+    let text = fs::read_to_string(example("kubernetes.yaml")).unwrap();
+    let job = &Yaml::load_from_str(&text).unwrap()[0];
+    let of_job = |field: &str| job[field].as_str().unwrap();
+    assert_eq!((of_job("apiVersion"), of_job("kind")), ("batch/v1", "Job"));
+    let spec = &job["spec"];
+    assert_eq!(spec["completionMode"].as_str(), Some("Indexed"));
+    let pod = &spec["template"]["spec"];
+    assert_eq!(pod["restartPolicy"].as_str(), Some("Never"), "what `backoffLimitPerIndex` needs");
+    let container = &pod["containers"][0];
+    let (mount, volume) = (&container["volumeMounts"][0], &pod["volumes"][0]);
+    assert_eq!(
+        (mount["name"].as_str(), mount["mountPath"].as_str()),
+        (volume["name"].as_str(), Some("/museum"))
+    );
+    let command: Vec<&str> =
+        container["command"].as_vec().unwrap().iter().map(|word| word.as_str().unwrap()).collect();
+    let [shell, flags, script] = command[..] else { panic!("{command:?}") };
+    let script = script.replace("/museum", &data.root().display().to_string());
+    let mut pod = Command::new(shell);
+    pod.args([flags, &script]).env("PATH", path_with_program()).env("JOB_COMPLETION_INDEX", "1");
+    Outcome::of(&mut pod).succeeded();
+    assert!(
+        data.path("out/jug/still/a.png").exists() && !data.path("out/vase").exists(),
+        "the second unit alone"
+    );
+}
+
+/// As much of Ray as the example calls, in one process.
+const RAY: &str = "
+def remote(**options):
+    return lambda task: type('Task', (), {'remote': staticmethod(task)})
+def init(): pass
+def get(results): return results
+";
+
+#[test]
+fn ray_tasks_run_all_units() {
+    if Command::new("python3").arg("--version").stdout(Stdio::null()).status().is_err() {
+        eprintln!("python3 is not installed: units are not run by the example for Ray");
+        return;
+    }
+    let (data, _, table) = jobs();
+    fs::create_dir(data.path("modules")).unwrap();
+    fs::write(data.path("modules/ray.py"), RAY).unwrap();
+    let run = |jobs: &Path, out: &str, options: &[&str]| {
+        let mut python = Command::new("python3");
+        python.arg("-B").arg(example("ray_units.py")).arg(jobs).arg(data.path(out)).args(options);
+        Outcome::of(python.env("PATH", path_with_program()).env("PYTHONPATH", data.path("modules")))
+    };
+    let made = run(&table, "out", &["--data", &data.root().display().to_string()]).succeeded();
+    assert!(made.stdout.contains("2 units: 2 finished"), "{}", made.stdout);
+    fs::write(&table, "scene,name\nturn.ron,vase\nnone.ron,jug\n").unwrap();
+    let failed = run(&table, "other", &[]);
+    assert!(failed.code == Some(1) && failed.stderr.contains("failed: jug"), "{}", failed.stderr);
+    assert!(failed.stdout.contains("1 finished, 1 not begun"), "{}", failed.stdout);
 }
 
 /// Whether a Slurm cluster answers here, with a node that is idle.
 fn slurm_is_idle() -> bool {
     let asked = Command::new("sinfo").args(["--noheader", "--format=%T"]).output();
     asked.is_ok_and(|asked| asked.status.success() && String::from_utf8_lossy(&asked.stdout).contains("idle"))
+}
+
+/// The script of the array, as a task of it runs it.
+#[cfg(unix)]
+#[test]
+fn a_task_of_an_array_runs_its_unit() {
+    let (data, _, table) = jobs();
+    let mut task = Command::new("bash");
+    task.arg(example("slurm.sh")).arg(&table).arg(data.path("out")).arg("--data").arg(data.root());
+    task.env("LOBELIA", env!("CARGO_BIN_EXE_lobelia")).env("SLURM_ARRAY_TASK_ID", "2");
+    Outcome::of(&mut task).succeeded();
+    assert!(
+        data.path("out/jug/still/a.png").exists() && !data.path("out/vase").exists(),
+        "the second unit alone"
+    );
 }
 
 #[test]
@@ -120,11 +225,10 @@ fn a_slurm_array_runs_all_units() {
     }
     let (data, _, table) = jobs();
     let out = data.path("out");
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/jobs/slurm.sh");
     let mut array = Command::new("sbatch");
     array.args(["--wait", "--array=1-2", "--mem=300M", "--cpus-per-task=1", "--time=5", "--chdir"]);
     array.arg(data.path("")).env("LOBELIA", env!("CARGO_BIN_EXE_lobelia"));
-    Outcome::of(array.arg(script).arg(&table).arg(&out)).succeeded();
+    Outcome::of(array.arg(example("slurm.sh")).arg(&table).arg(&out)).succeeded();
     let merged = Outcome::of(command(&["report"]).arg(&out)).succeeded();
     assert!(merged.stdout.contains("2 units: 2 finished"), "{}", merged.stdout);
 }

@@ -1,14 +1,16 @@
 //! One fit on several processes: the same bits as on one.
 
-use crate::common::{Data, Outcome, command};
+use crate::common::{Data, Outcome, command, files_below};
 use crate::photos::photographs;
-use crate::resume::{MESH, results, scene, two_balls};
-use lobelia::pass::progress::Silent;
+use crate::resume::{Death, Killer, MESH, results, scene, two_balls};
+use lobelia::Result;
 use lobelia::pass::{self, RunOptions};
 use lobelia::ranks::Ranks;
 use lobelia::ranks::threads::ThreadRank;
 use lobelia::scene::{LoadOptions, load};
 use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -16,19 +18,25 @@ use std::time::{Duration, Instant};
 /// The files of a pass, by name.
 type Found = BTreeMap<String, String>;
 
-/// Runs a scene on so many threads as ranks; returns what each has written for the pass, and what the first has saved.
-fn run(data: &Data, text: &str, pass: &str, size: usize) -> Vec<(Found, Option<Found>)> {
+/// Runs a scene on so many threads as ranks, each in a folder of its own within `out`; returns how each has ended. `Err` if it was killed.
+fn run_in(
+    data: &Data,
+    text: &str,
+    out: &str,
+    size: usize,
+    resume: bool,
+    death: Option<Death>,
+) -> Vec<Result<Result<()>, ()>> {
     let path = data.path("scene.ron");
     std::fs::write(&path, text).unwrap();
     let work = |rank: ThreadRank, number: usize| {
         let options = LoadOptions { data: Some(data.root().to_owned()), ..LoadOptions::default() };
         let loaded = load(&path, &options).unwrap();
-        let out = data.path(&format!("{size}/{number}"));
         let ranks = (size > 1).then(|| Ranks::new(Arc::new(rank)));
-        let options = RunOptions { out: out.clone(), ranks, ..RunOptions::default() };
-        pass::run(&loaded, &options, &Silent).unwrap();
-        let saved = out.join("save");
-        (results(&out.join(pass)), saved.is_dir().then(|| results(&saved)))
+        let checkpoint = (resume || death.is_some()).then_some(Duration::ZERO);
+        let out = data.path(&format!("{out}/{number}"));
+        let options = RunOptions { out, ranks, resume, checkpoint, ..RunOptions::default() };
+        catch_unwind(AssertUnwindSafe(|| pass::run(&loaded, &options, &Killer(death)))).map_err(|_| ())
     };
     std::thread::scope(|scope| {
         let work = &work;
@@ -36,6 +44,23 @@ fn run(data: &Data, text: &str, pass: &str, size: usize) -> Vec<(Found, Option<F
         let at_work: Vec<_> = ThreadRank::group(size).into_iter().enumerate().map(start).collect();
         at_work.into_iter().map(|rank| rank.join().unwrap()).collect()
     })
+}
+
+/// What each of so many ranks has written in `out` for a pass, and what it has saved.
+fn found_in(data: &Data, out: &str, pass: &str, size: usize) -> Vec<(Found, Option<Found>)> {
+    let of = |number: usize| {
+        let own = data.path(&format!("{out}/{number}"));
+        let saved = own.join("save");
+        (results(&own.join(pass)), saved.is_dir().then(|| results(&saved)))
+    };
+    (0..size).map(of).collect()
+}
+
+/// Runs a scene on so many threads as ranks; returns what each has written for the pass, and what the first has saved.
+fn run(data: &Data, text: &str, pass: &str, size: usize) -> Vec<(Found, Option<Found>)> {
+    let out = size.to_string();
+    run_in(data, text, &out, size, false, None).into_iter().for_each(|ended| ended.unwrap().unwrap());
+    found_in(data, &out, pass, size)
 }
 
 /// The bits of several ranks are those of one.
@@ -135,20 +160,58 @@ fn a_fit_under_two_lights_has_the_bits_of_one() {
 }
 
 #[test]
-fn several_base_materials_are_the_same_on_all_ranks_and_nearly_those_of_one() {
+fn several_base_materials_have_the_bits_of_one_process() {
     let data = Data::new();
     two_balls(&data);
-    let passes = r#"Fit(name: "fit", steps: 40, batch: 800),"#;
-    let text = scene(MESH, "material: (gloss: Blend(materials: 2)),", passes);
-    let loss = |found: &Found| -> f64 {
-        let last = found["log.csv"].lines().last().unwrap();
-        last.split(',').nth(1).unwrap().parse().unwrap()
-    };
-    let (alone, _) = run(&data, &text, "fit", 1).remove(0);
-    let both = run(&data, &text, "fit", 2);
-    assert_eq!(both[0].0, both[1].0);
-    let (one, two) = (loss(&alone), loss(&both[0].0));
-    assert!((one - two).abs() < 0.01 * one, "{one} {two}");
+    let passes = r#"Fit(name: "fit", steps: 40, batch: 800), Save(name: "save"),"#;
+    agrees(&data, &scene(MESH, "material: (gloss: Blend(materials: 2)),", passes), "fit", &[2, 3, 7]);
+}
+
+/// The material that is chosen is the same as well, where one is.
+#[test]
+fn a_fit_that_tries_materials_has_the_bits_of_one_process() {
+    let data = Data::new();
+    two_balls(&data);
+    let passes = r#"Fit(name: "fit", steps: 40, batch: 800), Save(name: "save"),"#;
+    agrees(&data, &scene(MESH, "", passes), "fit", &[2]);
+}
+
+/// What a run of some ranks has kept when it is killed, a run of others goes on from.
+#[test]
+fn a_run_goes_on_with_another_number_of_ranks() {
+    let data = Data::new();
+    two_balls(&data);
+    let passes = r#"Fit(name: "fit", steps: 40, batch: 800), Save(name: "save"),"#;
+    let text = scene(MESH, "material: (gloss: One),", passes);
+    let (alone, saved) = run(&data, &text, "fit", 1).remove(0);
+    for (before, after) in [(1, 3), (2, 1), (3, 2)] {
+        let killed = format!("killed-{before}");
+        let ended = run_in(&data, &text, &killed, before, false, Some(("fit", 23)));
+        assert!(ended.iter().all(Result::is_err), "{ended:?}");
+        let resumed = format!("resumed-{after}");
+        for rank in 0..after {
+            copy_folder(&data.path(&format!("{killed}/0")), &data.path(&format!("{resumed}/{rank}")));
+        }
+        let ended = run_in(&data, &text, &resumed, after, true, None);
+        assert!(ended.iter().all(|ended| matches!(ended, Ok(Ok(())))), "{ended:?}");
+        for (rank, (found, also)) in found_in(&data, &resumed, "fit", after).into_iter().enumerate() {
+            assert!(found == alone, "rank {rank} of {after} differs after {before}:\n{alone:?}\n{found:?}");
+            assert_eq!(also, saved.clone().filter(|_| rank == 0));
+        }
+    }
+    // One of them does not see what the others go on from.
+    copy_folder(&data.path("killed-1/0"), &data.path("unlike/1"));
+    for ended in run_in(&data, &text, "unlike", 2, true, None) {
+        let said = ended.unwrap().unwrap_err().to_string();
+        assert!(said.contains("different checkpoints"), "{said}");
+    }
+}
+
+fn copy_folder(from: &Path, to: &Path) {
+    for file in files_below(from) {
+        std::fs::create_dir_all(to.join(&file).parent().unwrap()).unwrap();
+        std::fs::copy(from.join(&file), to.join(&file)).unwrap();
+    }
 }
 
 #[test]
@@ -160,9 +223,9 @@ fn what_communication_takes_is_told() {
     let scores: serde_json::Value = serde_json::from_str(&scores).unwrap();
     let found = &scores["communication"];
     assert_eq!(found["ranks"], 2);
-    // Half of the radiance and adjoints of some hundred samples.
+    // Radiance and adjoints of half of some hundred samples, and the sums of their chunks.
     assert!((5e3..1e5).contains(&found["bytes_per_step"].as_f64().unwrap()), "{found}");
-    // Half of the shadows of some thousand texels, and of the radiance of the first guess.
+    // Of photographs, the shadows of half of some thousand texels, and radiance of the first guess.
     assert!((1e5..1e8).contains(&found["bytes_of_shares"].as_f64().unwrap()), "{found}");
 }
 
@@ -196,6 +259,8 @@ fn processes_under_mpirun_have_the_bits_of_one() {
     };
     assert!(saved("alone").len() >= 2, "{:?}", saved("alone"));
     assert_eq!(saved("alone"), saved("both"));
+    data.run(&text, "threads", &["--threads", "2"]).succeeded();
+    assert_eq!(saved("threads"), saved("both"), "one process with as many threads");
 }
 
 /// A signal to one process under `mpirun` ends all after the same step, and what they have found is written.

@@ -17,10 +17,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 /// Where a run is killed: a pass, and the position of its bar.
-type Death = (&'static str, u64);
+pub type Death = (&'static str, u64);
 
 /// Ends the run without any of its code after that, when a pass comes to a step.
-struct Killer(Option<Death>);
+pub struct Killer(pub Option<Death>);
 
 struct Fuse {
     at: Option<u64>,

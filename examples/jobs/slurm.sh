@@ -2,7 +2,7 @@
 # All units of JOBS as a Slurm array, a unit a task, on a file system that all nodes share:
 #   sbatch --array=1-$(lobelia list objects.csv | wc -l) examples/jobs/slurm.sh objects.csv out
 # A task that was killed is run again by `scontrol requeue`, or with all others by the same command: it goes on where it was.
-# When all have ended: lobelia report out
+# When all have ended: lobelia report out --jobs objects.csv
 #SBATCH --cpus-per-task=2
 #SBATCH --mem=8G
 #SBATCH --requeue

@@ -169,9 +169,9 @@ impl PngRows<'_> {
 /// Reads an opaque 8-bit picture that [`write_rgb8`] wrote.
 ///
 /// # Errors
-/// [`Error::Io`] if the file cannot be opened, [`Error::Run`] if it is another or a damaged one.
+/// [`Error::Io`] if the file cannot be opened, [`Error::Input`] if it is another or a damaged one.
 pub(crate) fn read_rgb8(path: &Path) -> Result<RgbImage> {
-    let failed = |problem: String| Error::run(format!("reading {}", path.display()), problem);
+    let failed = |problem: String| Error::input(path, "", problem, "Render it again.");
     let file = file::DiskFile::open(path).map_err(Error::io("read", path))?;
     let mut reader =
         png::Decoder::new(BufReader::new(file)).read_info().map_err(|error| failed(error.to_string()))?;
@@ -220,7 +220,7 @@ mod tests {
         }
         assert_eq!(read_rgb8(&parts).unwrap(), picture);
         std::fs::write(&parts, &std::fs::read(&whole).unwrap()[..200]).unwrap();
-        assert!(matches!(read_rgb8(&parts), Err(Error::Run { .. })));
+        assert!(matches!(read_rgb8(&parts), Err(Error::Input { .. })));
     }
 
     #[test]

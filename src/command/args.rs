@@ -129,6 +129,9 @@ pub struct CheckArgs {
     /// Memory that a run would have to keep to: 8GiB, 500MiB [default: three quarters of what a process may have]
     #[arg(long, value_name = "SIZE", value_parser = lobelia::pass::memory::parse_bytes)]
     pub memory: Option<u64>,
+    /// Processes of MPI that would share the run: what it needs is then that of one of them
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    pub processes: u16,
 }
 
 /// `lobelia eval`.

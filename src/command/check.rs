@@ -6,7 +6,7 @@ use super::terminal::print;
 use super::threads::start_threads;
 use lobelia::codec::file::FileUse;
 use lobelia::pass::files;
-use lobelia::pass::memory::{usual_budget, within};
+use lobelia::pass::memory::{Sharing, usual_budget, within};
 use lobelia::pass::preflight::{check_folder, check_paths, check_sizes};
 use lobelia::pass::progress::{Bar, Progress, Silent};
 use lobelia::pass::{looks, rehearse};
@@ -46,7 +46,8 @@ pub fn run(args: &CheckArgs) -> Result<()> {
     let surveyed = if has_photographs { survey(&loaded.scene, roots, args.out.is_some())? } else { None };
     let (surveyed, views) = surveyed.map_or((None, Vec::new()), |(survey, views)| (Some(survey), views));
     let budget = args.memory.or_else(usual_budget);
-    let outcome = Outcome::of(&loaded, surveyed.as_ref(), views, budget);
+    let workers = Workers { threads: rayon::current_num_threads(), processes: args.processes.into() };
+    let outcome = Outcome::of(&loaded, surveyed.as_ref(), views, budget, workers);
     print(&summary(&loaded, surveyed.as_ref(), &outcome))?;
     if let (Some(out), Some(survey)) = (&args.out, &surveyed) {
         write(out, &loaded, survey, &outcome.needs.clone().unwrap_or_default())?;
@@ -66,18 +67,19 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// `surveyed` and `views` are of the scene's data set, `budget` is the memory that a run may take.
+    /// `surveyed` and `views` are of the scene's data set, `budget` is the memory that each of its processes may take.
     fn of(
         loaded: &LoadedScene,
         surveyed: Option<&Survey>,
         views: Vec<ViewRecord>,
         budget: Option<u64>,
+        workers: Workers,
     ) -> Self {
         let scene = &loaded.scene;
         let known = surveyed.is_some() || !matches!(scene.views, Views::Dataset(_));
         let looks = known.then(|| looks(scene, surveyed)).transpose();
         let needs = looks.as_ref().ok().and_then(Option::as_ref);
-        let needs = needs.map(|looks| estimate(looks, scene, Workers::threads(rayon::current_num_threads())));
+        let needs = needs.map(|looks| estimate(looks, scene, workers));
         let ends = |notes, error: Option<Error>| Self { notes, needs, is_further: false, error };
         if let Some(error) = surveyed.and_then(|survey| survey.findings_of(Severity::Error).next()) {
             return ends(Vec::new(), Some(error.to_error()));
@@ -86,8 +88,9 @@ impl Outcome {
             return ends(Vec::new(), None);
         }
         let notes = Notes::default();
+        let sharing = Sharing { processes: workers.processes, of_memory: 1 };
         let keeps = looks.and_then(|looks| match looks {
-            Some(looks) => within(scene, &looks, budget, 1, &notes).map(drop),
+            Some(looks) => within(scene, &looks, budget, sharing, &notes).map(drop),
             None => Ok(()),
         });
         let error = keeps.and_then(|()| rehearse(scene, views, &notes)).err();

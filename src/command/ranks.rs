@@ -5,8 +5,8 @@ use super::run::{carry_out, run_and_report};
 use super::run_args::RunArgs;
 use lobelia::pass::progress::Silent;
 use lobelia::pass::{Profiling, RunOptions};
-use lobelia::ranks::Ranks;
-use lobelia::ranks::mpi::{Mpi, is_started};
+use lobelia::ranks::mpi::Mpi;
+use lobelia::ranks::{Ranks, is_started};
 use lobelia::{Error, Result};
 use std::fs;
 use std::io::Write as _;
@@ -30,7 +30,10 @@ fn run_as(args: &RunArgs, mpi: &Mpi) -> Result<()> {
     let mut own = None;
     let mut adapt = |options: &mut RunOptions| {
         if args.memory.is_none() {
-            options.memory = ranks.least(options.memory.map(|bytes| bytes / here()))?;
+            let least = ranks.numbers(options.memory.unwrap_or(u64::MAX))?.into_iter().min();
+            options.memory = least.filter(|bytes| *bytes < u64::MAX);
+            options.memory_shared_by =
+                ranks.numbers(mpi.processes_here())?.into_iter().max().unwrap_or(1) as usize;
         }
         if ranks.rank() > 0 {
             own = Some(step_aside(options)?);
@@ -49,12 +52,6 @@ fn run_as(args: &RunArgs, mpi: &Mpi) -> Result<()> {
         Err(error) if !(ranks.have_stopped() && matches!(error, Error::Interrupted)) => end_all(mpi, &error),
         ended => ended,
     }
-}
-
-/// Processes on this machine, among which its memory is divided.
-fn here() -> u64 {
-    let told = std::env::var("OMPI_COMM_WORLD_LOCAL_SIZE").or_else(|_| std::env::var("MPI_LOCALNRANKS"));
-    told.ok().and_then(|count| count.parse().ok()).unwrap_or(1).max(1)
 }
 
 /// Gives another process than the first a folder of its own, with what a run goes on from.

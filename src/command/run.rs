@@ -7,13 +7,14 @@ use super::scene_files::load_options;
 use super::signals::stop_on_signals;
 use super::terminal::Terminal;
 use super::threads::start_threads;
-use lobelia::Result;
 use lobelia::jobs;
 use lobelia::pass::memory::usual_budget;
 use lobelia::pass::progress::Progress;
 use lobelia::pass::{self, RunOptions};
+use lobelia::ranks::is_one_of_several;
 use lobelia::scene::{LoadedScene, load};
 use lobelia::shade::device::ShadingDevice;
+use lobelia::{Error, Result};
 use std::path::{Path, PathBuf};
 
 /// What changes the options of a run that was started in an unusual way.
@@ -21,6 +22,11 @@ pub type Adapt<'a> = dyn FnMut(&mut RunOptions) -> Result<()> + 'a;
 
 /// Runs the command.
 pub fn run(args: &RunArgs) -> Result<()> {
+    if !cfg!(feature = "mpi") && args.only.is_none() && is_one_of_several() {
+        let problem = "this program is built without MPI, and mpirun has started several of it: each would do the whole run";
+        let help = "Build it with `--features mpi`, or start it without mpirun.";
+        return Err(Error::usage(problem, help));
+    }
     run_and_report(args, &mut |_| Ok(()))
 }
 
@@ -56,6 +62,7 @@ pub fn carry_out(args: &RunArgs, shown: &dyn Progress, adapt: &mut Adapt) -> Res
         force: args.force,
         debug_every: args.debug_every,
         memory,
+        memory_shared_by: 1,
         arguments,
         checkpoint: args.checkpoint.0,
         // A unit that was begun goes on.

@@ -2,7 +2,7 @@
 
 use crate::fit::adam::Moments;
 use crate::fit::loss::{Loss, LossSums};
-use crate::math::shading::{ChunkSums, SharedGradient, SpecularAdjoint};
+use crate::math::shading::{ChunkSums, LobeColumns, SharedGradient, SpecularAdjoint};
 use bevy_ecs::prelude::{Component, Resource};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -105,15 +105,123 @@ pub struct StepGradient {
     pub shared: SharedGradient,
     /// With respect to each base material.
     pub specular: Vec<SpecularAdjoint>,
-    /// With one base material, what `shared` is the total of.
-    pub chunks: ChunkSums,
+    /// What these are the total of.
+    chunks: StepSums,
+}
+
+/// Sums over each chunk of [`CHUNK`](crate::math::shading::CHUNK) samples, from the first chunk to the last. Their total has the same bits wherever the chunks were summed.
+#[derive(Clone, Debug)]
+enum StepSums {
+    /// With one base material.
+    One(ChunkSums),
+    /// With several.
+    Blended { chunks: Vec<BlendedSums>, lobes: usize, materials: usize },
+}
+
+impl Default for StepSums {
+    fn default() -> Self {
+        Self::One(ChunkSums::default())
+    }
+}
+
+/// Gradient of what the samples of a chunk share, with several base materials.
+#[derive(Clone, Debug)]
+pub struct BlendedSums {
+    /// With respect to the light.
+    pub lobes: LobeColumns,
+    /// With respect to each base material.
+    pub specular: Vec<SpecularAdjoint>,
+}
+
+impl BlendedSums {
+    fn zeros(lobes: usize, materials: usize) -> Self {
+        Self { lobes: LobeColumns::zeros(lobes), specular: vec![SpecularAdjoint::default(); materials] }
+    }
+
+    fn values(&self) -> impl Iterator<Item = f32> {
+        let of_specular = |SpecularAdjoint { albedo: [r, g, b], roughness }: &_| [*r, *g, *b, *roughness];
+        self.lobes.values().iter().copied().chain(self.specular.iter().flat_map(of_specular))
+    }
+
+    /// Adds [values](Self::values) of as many lobes and materials.
+    fn add_values(&mut self, values: impl IntoIterator<Item = f32>) {
+        let mut values = values.into_iter();
+        let of_lobes: Vec<f32> = values.by_ref().take(self.lobes.values().len()).collect();
+        self.lobes.add_values(&of_lobes);
+        for sum in &mut self.specular {
+            sum.albedo
+                .iter_mut()
+                .chain([&mut sum.roughness])
+                .zip(&mut values)
+                .for_each(|(sum, value)| *sum += value);
+        }
+    }
 }
 
 impl StepGradient {
-    /// With one base material, takes the total of its chunks.
-    pub(super) fn take_total(&mut self) {
-        self.chunks.total_into(&mut self.shared);
-        self.specular.clear();
-        self.specular.push(self.shared.specular);
+    /// Memory for sums over chunks with one base material.
+    pub(super) fn take_chunks(&mut self) -> ChunkSums {
+        match std::mem::take(&mut self.chunks) {
+            StepSums::One(chunks) => chunks,
+            StepSums::Blended { .. } => ChunkSums::default(),
+        }
+    }
+
+    /// Takes the sums over chunks with one base material.
+    pub(super) fn set_chunks(&mut self, chunks: ChunkSums) {
+        self.chunks = StepSums::One(chunks);
+        self.take_total();
+    }
+
+    /// Whether it is that of several base materials.
+    pub(super) fn is_blended(&self) -> bool {
+        matches!(self.chunks, StepSums::Blended { .. })
+    }
+
+    /// Takes the sums over chunks with several base materials.
+    pub(super) fn set_blended(&mut self, chunks: Vec<BlendedSums>, lobes: usize, materials: usize) {
+        self.chunks = StepSums::Blended { chunks, lobes, materials };
+        self.take_total();
+    }
+
+    /// Takes the total of the chunks.
+    fn take_total(&mut self) {
+        match &self.chunks {
+            StepSums::One(chunks) => {
+                chunks.total_into(&mut self.shared);
+                self.specular = vec![self.shared.specular];
+            }
+            StepSums::Blended { chunks, lobes, materials } => {
+                let mut total = BlendedSums::zeros(*lobes, *materials);
+                chunks.iter().for_each(|chunk| total.add_values(chunk.values()));
+                self.shared = SharedGradient { lobes: total.lobes, specular: total.specular[0] };
+                self.specular = total.specular;
+            }
+        }
+    }
+
+    /// All values of the chunks, chunk by chunk.
+    pub(super) fn chunk_values(&self) -> Vec<f32> {
+        match &self.chunks {
+            StepSums::One(chunks) => chunks.values().collect(),
+            StepSums::Blended { chunks, .. } => chunks.iter().flat_map(BlendedSums::values).collect(),
+        }
+    }
+
+    /// Replaces the chunks by those of these [values](Self::chunk_values), for as many lobes and materials, and takes their total.
+    pub(super) fn set_chunk_values(&mut self, values: &[f32]) {
+        match &mut self.chunks {
+            StepSums::One(chunks) => chunks.set_values(values),
+            StepSums::Blended { chunks, lobes, materials } => {
+                let zeros = BlendedSums::zeros(*lobes, *materials);
+                let chunk = |values: &[f32]| {
+                    let mut chunk = zeros.clone();
+                    chunk.add_values(values.iter().copied());
+                    chunk
+                };
+                *chunks = values.chunks_exact(zeros.values().count()).map(chunk).collect();
+            }
+        }
+        self.take_total();
     }
 }

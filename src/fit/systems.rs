@@ -8,7 +8,8 @@ use super::components::{
 use super::exposure::Exposures;
 use super::loss::image_loss;
 use super::metal::{DIELECTRIC_ALBEDO, is_dielectric};
-use super::roughness::blend::{BlendAdjoints, BlendedSamples, pull_back_blended};
+use super::roughness::blend::BlendAdjoints;
+use super::roughness::blend_adjoint::{BlendedSamples, pull_back_blended};
 use crate::light::LightLobe;
 use crate::light::lights::IncidentLight;
 use crate::material::material_source::BaseMaterials;
@@ -108,8 +109,9 @@ fn pull_back_one(
     gradient: &mut StepGradient,
 ) -> Result<(), String> {
     let radiance = RadianceColumns { shaded: samples.shaded, adjoint: samples.adjoint };
-    loops.shade_adjoint(call, radiance, back, &mut gradient.chunks)?;
-    gradient.take_total();
+    let mut chunks = gradient.take_chunks();
+    loops.shade_adjoint(call, radiance, back, &mut chunks)?;
+    gradient.set_chunks(chunks);
     Ok(())
 }
 

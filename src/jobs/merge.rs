@@ -58,8 +58,7 @@ pub fn units(out: &Path, named: &[Unit]) -> Result<Vec<UnitRow>> {
 /// Writes `units.csv` and joins films, `PASS.mp4` from the frames of all units of a pass; returns those with the page.
 ///
 /// # Errors
-/// [`Error::Usage`] if `units.csv` is not such a table; [`Error::Io`] if it or a folder of frames cannot be read, or a file cannot be written;
-/// [`Error::Input`] for frames that cannot be read.
+/// [`Error::Usage`] if `units.csv` is not such a table; [`Error::Io`] if it cannot be read, or a file cannot be written.
 pub fn merge(out: &Path, units: Vec<UnitRow>) -> Result<Merged> {
     check_table(&out.join(UNITS))?;
     write_bytes(&out.join(UNITS), table(&units)?.as_bytes())?;
@@ -203,15 +202,27 @@ fn parts_of_films(units: &[UnitRow]) -> BTreeMap<String, FilmParts> {
     films
 }
 
-/// Joins a film whose frames are all there.
+/// Joins a film whose frames are all there. What cannot be read of it is told with the film, since the others and the page are whole without it.
 fn join(out: &Path, pass: &str, parts: &FilmParts) -> Result<JoinedFilm> {
+    let file = out.join(format!("{pass}.mp4"));
+    let mut joined = JoinedFilm { file, there: 0, frames: parts.frames, problem: None };
+    match write_film(out, pass, parts, &mut joined) {
+        Err(error @ (Error::Input { .. } | Error::Io { action: "read", .. })) => {
+            joined.problem = Some(format!("{error}; run its unit again with --force"));
+        }
+        written => written?,
+    }
+    Ok(joined)
+}
+
+/// Writes a film whose frames are all there, and says of `joined` how many are, and what else is in the way.
+fn write_film(out: &Path, pass: &str, parts: &FilmParts, joined: &mut JoinedFilm) -> Result<()> {
     let files = frames_of(out, pass, parts)?;
-    let film = out.join(format!("{pass}.mp4"));
-    let mut joined = JoinedFilm { file: film, there: files.len(), frames: parts.frames, problem: None };
+    joined.there = files.len();
     let first = files.first().filter(|_| files.len() == parts.frames as usize);
     joined.problem = obstacle(&joined.file, parts, first)?;
     if !joined.is_joined() {
-        return Ok(joined);
+        return Ok(());
     }
     let mut recorder = FilmRecorder::without_files().with_video(parts.fps);
     if let Some(comment) = files.first().and_then(comment_of) {
@@ -221,8 +232,7 @@ fn join(out: &Path, pass: &str, parts: &FilmParts) -> Result<JoinedFilm> {
         check_interrupted()?;
         recorder.push(read_rgb8(file)?)?;
     }
-    recorder.finish()?.take_video().map_or(Ok(()), |video| video.write(&joined.file))?;
-    Ok(joined)
+    recorder.finish()?.take_video().map_or(Ok(()), |video| video.write(&joined.file))
 }
 
 /// The frames that are there, in their order; of several of one number that of the first unit.
@@ -357,7 +367,8 @@ mod tests {
         // What cannot be read is not taken for frames that are not there.
         fs::create_dir_all(folder.path().join("c/turn")).unwrap();
         fs::write(folder.path().join("c/turn").join(FRAMES), "").unwrap();
-        assert!(frames_of(folder.path(), "turn", &parts).unwrap_err().to_string().contains(FRAMES));
+        let film = join(folder.path(), "turn", &parts).unwrap();
+        assert!(!film.is_joined() && film.words().contains(FRAMES), "{}", film.words());
     }
 
     #[test]

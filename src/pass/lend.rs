@@ -39,13 +39,13 @@ impl LentPhotographs {
         let photographs: Vec<&Photograph> =
             views.iter().filter_map(|view| world.get::<Photograph>(*view)).collect();
         let missing: Vec<bool> = photographs.iter().map(|photograph| !photograph.has_pixels()).collect();
-        let mut lent = Vec::new();
-        OwnedItems::new(photographs, Some(ranks), |photograph| photograph.keeper()).each_in_turn(
-            |_, photograph| Photograph::clone(photograph),
-            |place, photograph| {
-                if is_looking && missing[place] {
-                    lent.push((views[place], photograph));
-                }
+        let mut lent: Vec<(Entity, Photograph)> = Vec::new();
+        OwnedItems::new(photographs, Some(ranks), |photograph| photograph.keeper()).send_whole(
+            |place| is_looking && missing[place],
+            |photograph| Photograph::clone(photograph),
+            |place, mut photograph| {
+                lent.last().into_iter().for_each(|(_, other)| photograph.share_tables(other));
+                lent.push((views[place], photograph));
             },
         )?;
         let borrowed = lent.iter().map(|(view, _)| *view).collect();

@@ -79,6 +79,7 @@ use crate::survey::open::OpenScene;
 use crate::survey::{Severity, Survey};
 use crate::view::ViewRecord;
 use inputs::Watched;
+use memory::Sharing;
 use photograph::{TrueObject, camera_of};
 use placements::check_placements;
 use progress::{Progress, RecordedMessages};
@@ -101,6 +102,8 @@ pub struct RunOptions {
     pub debug_every: Option<u32>,
     /// Memory that the run may take, in bytes; `None`: as much as it takes.
     pub memory: Option<u64>,
+    /// Processes among `ranks` that divide this memory, as those of one machine do; each may take all of it if there are fewer than two.
+    pub memory_shared_by: usize,
     /// The command line, for the manifest.
     pub arguments: Vec<String>,
     /// Time between two checkpoints of a pass that takes long; `None`: no checkpoints.
@@ -162,17 +165,19 @@ fn run_passes(
     let kept = RunStart::read(&options.out);
     let has_checkpoints = !matches!(kept, Ok(None));
     record::check_used(&options.out, options.force || options.resume, has_checkpoints)?;
-    if options.resume && record::check_resumed(&options.out, loaded, has_checkpoints || options.begin_again)?
-    {
+    let has_finished = options.resume
+        && record::check_resumed(&options.out, loaded, has_checkpoints || options.begin_again)?;
+    let begun = if options.resume && !has_finished { kept? } else { None };
+    let ranks = options.ranks.as_ref().filter(|ranks| ranks.size() > 1);
+    ranks.map_or(Ok(()), |ranks| resume::agree(ranks, loaded, &options.out, begun.as_ref(), has_finished))?;
+    if has_finished {
         leave_finished(&options.out, progress);
         return Ok(());
     }
-    let begun = if options.resume { kept? } else { None };
     check_unread(loaded, options, begun.as_ref())?;
     let data = OpenScene::new(&loaded.scene, loaded.roots.as_deref())?;
     let claim = claim(loaded, data.as_ref(), options)?;
     let watched = Watched::new(files::contents(loaded, data.as_ref()));
-    let ranks = options.ranks.as_ref().filter(|ranks| ranks.size() > 1);
     // Processes that read photographs together also stop together; the session holds stops after them.
     let held_stops = ranks.filter(|_| data.is_some()).map(|_| HeldStops::new());
     let (views, survey) = read_views(&loaded.scene, data.as_ref(), ranks, progress)?;
@@ -207,8 +212,11 @@ fn within_limits<'a>(
 ) -> Result<Cow<'a, Scene>> {
     let looks = looks(scene, survey)?;
     let processes = options.ranks.as_ref().map_or(1, Ranks::size);
-    let scene = memory::within(scene, &looks, options.memory, processes, progress)?;
-    if !options.resume {
+    let sharing = Sharing { processes, of_memory: options.memory_shared_by };
+    let scene = memory::within(scene, &looks, options.memory, sharing, progress)?;
+    // Other processes than the first write nothing that stays.
+    let writes = options.ranks.as_ref().is_none_or(|ranks| ranks.rank() == 0);
+    if writes && !options.resume {
         check_room(&options.out, written_bytes(&looks, &scene) as u64)?;
     }
     Ok(scene)

@@ -15,6 +15,7 @@ use crate::survey::finding::named;
 use crate::view::{Camera, Photograph, Split, StoredMask, ViewIndex, ViewMask, ViewName};
 use bevy_ecs::prelude::{Entity, With, World};
 use rayon::prelude::*;
+use std::collections::{HashMap, HashSet};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -238,18 +239,19 @@ pub(super) fn outlier_share(view: &EvalView, predicted: &[glam::Vec3]) -> Option
 /// # Errors
 /// If it cannot be written.
 pub(super) fn write(session: &mut Session, folder: &Path, scored: &[ScoredOutcome]) -> Result<()> {
-    let outlines = outlines(&mut session.pipeline.world, None);
-    let overlaps = overlaps(&session.surface, &outlines);
+    let mut outlines = outlines(&mut session.pipeline.world, None);
+    let scored: HashMap<Entity, &ScoredOutcome> =
+        scored.iter().rev().map(|scored| (scored.view, scored)).collect();
+    outlines.retain(|view| scored.contains_key(&view.entity));
     // Those of a fit say how many pixels it may visit.
     session.scores.views.retain(|view| view.pixels.is_some());
-    for (view, overlap) in outlines.iter().zip(&overlaps) {
-        let new = outcome(view, *overlap, None);
-        let is_known = |old: &ViewOutcome| old.name == new.name && old.split == new.split;
-        let found = scored.iter().find(|scored| scored.view == view.entity);
-        if let (Some(found), false) = (found, session.scores.views.iter().any(is_known)) {
-            let new = ViewOutcome { psnr: Some(found.psnr), outliers: found.outliers, ..new };
-            session.scores.views.push(new);
-        }
+    let key = |view: &ViewOutcome| (view.name.clone(), view.split.clone());
+    let mut known: HashSet<(String, String)> = session.scores.views.iter().map(key).collect();
+    outlines.retain(|view| known.insert(key(&outcome(view, None, None))));
+    for (view, overlap) in outlines.iter().zip(overlaps(&session.surface, &outlines)) {
+        let found = scored[&view.entity];
+        let new = outcome(view, overlap, None);
+        session.scores.views.push(ViewOutcome { psnr: Some(found.psnr), outliers: found.outliers, ..new });
     }
     write_bytes(&folder.join(VIEWS), csv(&session.scores.views).as_bytes())
 }

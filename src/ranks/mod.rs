@@ -22,6 +22,22 @@ use std::time::Instant;
 const BLOCK_BYTES: usize = 1 << 28;
 /// What went wrong if lengths differ.
 const OTHER_DATA: &str = "another process works on other data";
+/// What to do about processes that do not begin alike.
+const AGREE: &str = "Start the same program with the same arguments and --threads everywhere, on processors of one kind and a file system that all of them see.";
+
+/// What an MPI library or its launcher says to each process: how many there are, or which of them it is.
+const STARTED: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"];
+
+/// Whether this process was started by `mpirun` or what has its place.
+pub fn is_started() -> bool {
+    STARTED.iter().any(|name| std::env::var_os(name).is_some())
+}
+
+/// Whether `mpirun` has started it as one of several.
+pub fn is_one_of_several() -> bool {
+    let size = |name: &str| std::env::var(name).ok()?.parse::<u64>().ok();
+    size(STARTED[0]).is_some_and(|size| size > 1)
+}
 
 /// A group of processes (or threads) that call the same functions in the same order. A call returns once all have called it.
 pub trait Communicator: Send + Sync {
@@ -170,14 +186,31 @@ impl Ranks {
         self.communicator.all_any(false).map(|_| ())
     }
 
-    /// The least number that a process gives, if one does.
+    /// The number that each process gives, by rank.
     ///
     /// # Errors
     /// If another one is gone.
-    pub fn least(&self, number: Option<u64>) -> Result<Option<u64>> {
-        let parts = self.communicator.all_gather(&number.unwrap_or(u64::MAX).to_le_bytes())?;
-        let numbers = parts.into_iter().filter_map(|bytes| Some(u64::from_le_bytes(bytes.try_into().ok()?)));
-        Ok(numbers.min().filter(|least| *least < u64::MAX))
+    pub fn numbers(&self, number: u64) -> Result<Vec<u64>> {
+        let parts = self.communicator.all_gather(&number.to_le_bytes())?;
+        let number =
+            |bytes: Vec<u8>| bytes.try_into().map(u64::from_le_bytes).map_err(|_| broken(OTHER_DATA));
+        parts.into_iter().map(number).collect()
+    }
+
+    /// Checks that all processes say the same of each thing, which is named.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] in all of them that names the first thing of which they do not; if another one is gone.
+    pub(crate) fn agree(&self, things: &[(&str, String)]) -> Result<()> {
+        for (name, said) in things {
+            let all = self.communicator.all_gather(said.as_bytes())?;
+            if let Some(other) = all.iter().find(|other| **other != all[0]) {
+                let [first, other] = [&all[0], other].map(|said| String::from_utf8_lossy(said).into_owned());
+                let problem = format!("the processes of this run have different {name}: {first} and {other}");
+                return Err(Error::usage(problem, AGREE));
+            }
+        }
+        Ok(())
     }
 
     /// What was sent since this was called last.
@@ -253,6 +286,23 @@ mod tests {
                 scope.spawn(|| {
                     let ranks = Ranks::new(Arc::new(rank));
                     assert_eq!(divided(Some(&ranks), 11, list).unwrap(), alone);
+                });
+            }
+        });
+    }
+
+    #[test]
+    fn what_processes_do_not_agree_on_is_told_by_all() {
+        std::thread::scope(|scope| {
+            for rank in ThreadRank::group(3) {
+                scope.spawn(|| {
+                    let ranks = Ranks::new(Arc::new(rank));
+                    let same = ("seeds", "7".to_owned());
+                    ranks.agree(std::slice::from_ref(&same)).unwrap();
+                    let threads = ("threads", (4 + ranks.rank() / 2).to_string());
+                    let told = ranks.agree(&[same, threads]).unwrap_err().to_string();
+                    assert!(told.ends_with("different threads: 4 and 5"), "{told}");
+                    assert_eq!(ranks.numbers(10 + ranks.rank() as u64).unwrap(), [10, 11, 12]);
                 });
             }
         });

@@ -10,11 +10,6 @@ use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Communicator as _, CommunicatorCollectives as _};
 use std::sync::Arc;
 
-/// Whether this process was started as one of several, by `mpirun` or what has its place.
-pub fn is_started() -> bool {
-    ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"].iter().any(|name| std::env::var_os(name).is_some())
-}
-
 /// MPI at work; dropping it waits for all processes and ends it.
 pub struct Mpi {
     _universe: Universe,
@@ -32,6 +27,11 @@ impl Mpi {
         let world = universe.world();
         let (rank, size) = (world.rank() as usize, world.size() as usize);
         Ok(Self { _universe: universe, ranks: Ranks::new(Arc::new(MpiRank { rank, size })) })
+    }
+
+    /// How many of the processes are on this machine; all of them ask together.
+    pub fn processes_here(&self) -> u64 {
+        u64::from(SimpleCommunicator::world().split_shared(0).size().unsigned_abs())
     }
 
     /// The processes.

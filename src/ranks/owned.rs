@@ -72,31 +72,59 @@ impl<'a, V: Sync> OwnedItems<'a, V> {
     pub fn each_in_turn<T: Serialize + DeserializeOwned + Send>(
         &self,
         of: impl Fn(usize, &V) -> T + Sync + Send,
+        take: impl FnMut(usize, T),
+    ) -> Result<()> {
+        let workers = self.ranks.map_or(4 * rayon::current_num_threads(), Ranks::size);
+        self.in_groups(AT_A_TIME.max(workers), |_| true, of, take)
+    }
+
+    /// Hands the items that `is_wanted` says of their places to `take`, in their order: large ones, of which only as many as there are processes are sent
+    /// before they are taken. Those that are not wanted here are sent to others that want them.
+    ///
+    /// # Errors
+    /// If another process is gone.
+    pub fn send_whole<T: Serialize + DeserializeOwned + Send>(
+        &self,
+        is_wanted: impl Fn(usize) -> bool + Sync + Send,
+        of: impl Fn(&V) -> T + Sync + Send,
+        take: impl FnMut(usize, T),
+    ) -> Result<()> {
+        self.in_groups(self.ranks.map_or(1, Ranks::size), is_wanted, |_, item| of(item), take)
+    }
+
+    /// Works on the items in groups of `at_a_time`.
+    fn in_groups<T: Serialize + DeserializeOwned + Send>(
+        &self,
+        at_a_time: usize,
+        is_wanted: impl Fn(usize) -> bool + Sync + Send,
+        of: impl Fn(usize, &V) -> T + Sync + Send,
         mut take: impl FnMut(usize, T),
     ) -> Result<()> {
         let ranks = self.ranks.filter(|_| self.owners.iter().any(Option::is_some));
-        let workers = ranks.map_or(4 * rayon::current_num_threads(), Ranks::size);
-        for (number, owners) in self.owners.chunks(AT_A_TIME.max(workers)).enumerate() {
-            let first = number * AT_A_TIME.max(workers);
+        for (number, owners) in self.owners.chunks(at_a_time).enumerate() {
+            let first = number * at_a_time;
             let of = |place: usize| of(first + place, &self.items[first + place]);
-            let made: Vec<T> = match ranks {
-                None => (0..owners.len()).into_par_iter().map(of).collect(),
-                Some(ranks) => exchange(ranks, owners, of)?,
+            let is_wanted = |place: usize| is_wanted(first + place);
+            let made: Vec<Option<T>> = match ranks {
+                None => (0..owners.len()).into_par_iter().map(|at| is_wanted(at).then(|| of(at))).collect(),
+                Some(ranks) => exchange(ranks, owners, is_wanted, of)?,
             };
-            (first..).zip(made).for_each(|(place, made)| take(place, made));
+            (first..).zip(made).for_each(|(place, made)| made.into_iter().for_each(|made| take(place, made)));
         }
         Ok(())
     }
 }
 
-/// What the owners make of each of a few items.
+/// What the owners make of each of a few items, as far as it is wanted here.
 fn exchange<T: Serialize + DeserializeOwned + Send>(
     ranks: &Ranks,
     owners: &[Option<u32>],
+    is_wanted: impl Fn(usize) -> bool + Sync + Send,
     of: impl Fn(usize) -> T + Sync + Send,
-) -> Result<Vec<T>> {
+) -> Result<Vec<Option<T>>> {
     let own = Some(ranks.rank() as u32);
-    let here = |place: usize| (owners[place].is_none() || owners[place] == own).then(|| of(place));
+    let is_made_here = |place: usize| owners[place].map_or(is_wanted(place), |owner| Some(owner) == own);
+    let here = |place: usize| is_made_here(place).then(|| of(place));
     let mut all: Vec<Option<T>> = (0..owners.len()).into_par_iter().map(here).collect();
     // As the processes send them: by rank.
     let mut sent: Vec<usize> = (0..owners.len()).filter(|place| owners[*place].is_some()).collect();
@@ -105,11 +133,13 @@ fn exchange<T: Serialize + DeserializeOwned + Send>(
     let bytes: Vec<Vec<u8>> =
         mine.filter_map(|place| all[*place].as_ref()).map(packed).collect::<Result<_>>()?;
     for (place, list) in sent.iter().zip(ranks.join_lists(&bytes, sent.len())?) {
-        if all[*place].is_none() {
+        if owners[*place] == own && !is_wanted(*place) {
+            all[*place] = None;
+        } else if all[*place].is_none() && is_wanted(*place) {
             all[*place] = Some(postcard::from_bytes(&list).map_err(|_| broken(OTHER_DATA))?);
         }
     }
-    Ok(all.into_iter().flatten().collect())
+    Ok(all)
 }
 
 /// A value as bytes.
@@ -142,6 +172,14 @@ mod tests {
                     let owned = OwnedItems::new(items(), Some(&ranks), owner);
                     assert_eq!(owned.each(of).unwrap(), alone);
                     assert!(ranks.take_traffic().of_shares.bytes > 0);
+                    let mut whole = Vec::new();
+                    let is_wanted = |place: usize| place % 5 == ranks.rank();
+                    owned
+                        .send_whole(is_wanted, |item| text(*item), |place, item| whole.push((place, item)))
+                        .unwrap();
+                    let wanted = (0..70).filter(|place| is_wanted(*place));
+                    assert_eq!(whole, wanted.map(|place| (place, text(place))).collect::<Vec<_>>());
+                    ranks.take_traffic();
                     let everybodys = OwnedItems::new(items(), Some(&ranks), |_| None);
                     assert_eq!(everybodys.each(|_, item| text(*item)).unwrap(), alone);
                     assert_eq!(ranks.take_traffic().of_shares.bytes, 0, "what all have is not sent");

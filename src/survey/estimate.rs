@@ -128,6 +128,8 @@ pub struct Estimate {
     pub parts: Vec<PartEstimate>,
     /// How many threads the times are for.
     pub threads: usize,
+    /// How many processes share the run: the memory is that of the first one, the times are those of a process alone.
+    pub processes: usize,
 }
 
 impl Estimate {
@@ -155,7 +157,13 @@ impl Estimate {
         let list = if list.is_empty() { String::new() } else { format!(" ({})", list.join("; ")) };
         let threads =
             if self.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", self.threads) };
-        format!("about {} and {} on {threads}{list}", memory(self.bytes()), duration(self.seconds()))
+        let (bytes, time) = (memory(self.bytes()), duration(self.seconds()));
+        match self.processes {
+            0 | 1 => format!("about {bytes} and {time} on {threads}{list}"),
+            count => format!(
+                "about {bytes} in each of {count} processes; alone, one needs {time} on {threads}{list}"
+            ),
+        }
     }
 }
 
@@ -209,7 +217,7 @@ pub fn estimate(looks: &[ViewLook], scene: &Scene, workers: Workers) -> Estimate
             other => other.render().map(|render| task.render(other.name(), render)),
         });
     }
-    Estimate { parts, threads: workers.threads }
+    Estimate { parts, threads: workers.threads, processes: workers.processes }
 }
 
 /// Bytes that the passes of `scene` will write at least.

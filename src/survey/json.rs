@@ -32,6 +32,7 @@ pub fn value(survey: &Survey, estimate: &Estimate) -> Value {
             "bytes": estimate.bytes(),
             "seconds": estimate.seconds(),
             "threads": estimate.threads,
+            "processes": estimate.processes,
             "parts": estimate.parts,
         },
         "views": views,

@@ -182,9 +182,18 @@ impl Photograph {
 
     /// Shares the tables of a curve that are equal to its own, as photographs do that were made with it: one that was serialized has tables of its own.
     pub fn share(&mut self, curve: &Curve) {
-        self.color.share(&curve.color);
-        if let Some(alpha) = self.alpha.as_mut().and_then(Arc::get_mut) {
-            alpha.share(&curve.alpha);
+        self.take_tables(Some(&curve.color), Some(&curve.alpha));
+    }
+
+    /// Shares the tables of another photograph that are equal to its own.
+    pub fn share_tables(&mut self, other: &Self) {
+        self.take_tables(other.color.table(), other.alpha.as_ref().and_then(|alpha| alpha.table()));
+    }
+
+    fn take_tables(&mut self, color: Option<&Arc<[f32]>>, alpha: Option<&Arc<[f32]>>) {
+        color.into_iter().for_each(|table| self.color.share(table));
+        if let Some((own, table)) = self.alpha.as_mut().and_then(Arc::get_mut).zip(alpha) {
+            own.share(table);
         }
     }
 
@@ -350,6 +359,9 @@ mod tests {
             let mut found: Photograph = postcard::from_bytes(&sent).unwrap();
             assert_eq!(format!("{found:?}"), format!("{kept:?}"));
             found.share(&curve);
+            let mut another: Photograph = postcard::from_bytes(&sent).unwrap();
+            another.share_tables(&found);
+            assert_eq!(another.color.table().map(Arc::as_ptr), found.color.table().map(Arc::as_ptr));
             let shared = found.color.table().is_some_and(|table| Arc::ptr_eq(table, &curve.color));
             assert_eq!((shared, found.levels()), (kept.levels().is_some(), kept.levels()));
         }

@@ -77,7 +77,7 @@ impl<'a> From<&'a LobeColumns> for Lighting<'a> {
 
 impl<'a> Lighting<'a> {
     /// The visibility of chunk `index` of `count` points each.
-    pub(crate) fn chunk(&self, index: usize, count: usize) -> Option<LobeVisibility<'a>> {
+    pub fn chunk(&self, index: usize, count: usize) -> Option<LobeVisibility<'a>> {
         self.visibility.map(|all| all.chunk(index, count, self.lobes.stride()))
     }
 

@@ -9,12 +9,15 @@ use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::run::Initialize;
 use crate::material::replace_materials;
+use crate::math::lanes::level_name;
 use crate::mesh::Surface;
 use crate::mesh::triangles::Mesh;
 use crate::pass::progress::Progress;
 use crate::pass::session::{Chosen, Placed, Session};
+use crate::ranks::Ranks;
 use crate::report::scores::Scores;
 use crate::sample::point::Scenery;
+use crate::scene::load::LoadedScene;
 use crate::scene::{Pass, Scene, Sheen};
 use crate::shape::run::replace_texels;
 use crate::spawn::{insert_known_along, several_materials};
@@ -163,6 +166,30 @@ impl RunStart {
     fn mark(&self) -> u64 {
         hash_of(self)
     }
+}
+
+/// Checks that all processes begin alike: those that do not would wait for each other forever, or find something else.
+///
+/// # Errors
+/// [`Error::Usage`] that says what differs; if another process is gone.
+pub(super) fn agree(
+    ranks: &Ranks,
+    loaded: &LoadedScene,
+    out: &Path,
+    begun: Option<&RunStart>,
+    has_finished: bool,
+) -> Result<()> {
+    let mut kept = places(&out.join(FOLDER));
+    kept.sort_unstable();
+    let state =
+        if has_finished { "a finished run".to_owned() } else { format!("{:016x}", hash_of(&(begun, kept))) };
+    ranks.agree(&[
+        ("versions", env!("LOBELIA_VERSION").to_owned()),
+        ("numbers of threads", rayon::current_num_threads().to_string()),
+        ("instruction sets", level_name().to_owned()),
+        ("scenes", format!("{:016x}", hash_of(&loaded.scene))),
+        ("checkpoints to go on from", state),
+    ])
 }
 
 const START_AGAIN: &str = "Start again with --force.";

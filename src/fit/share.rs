@@ -13,20 +13,17 @@
 //! | [`gather_adjoints`] | Gradient, after `Slot::ShadingAdjoint` | adjoints of all samples, and of what they share; the whole window again |
 //!
 //! Shares are whole chunks of the kernels' sums, and what samples share is summed over chunks in the order of chunks: the bits are those of one process, whatever
-//! the number of processes. With several base materials it is summed over the processes, and is the same up to rounding. All processes have the same bits.
+//! the number of processes. On a graphics adapter the share of a process is one chunk, and sums are the same up to rounding. All processes have the same bits.
 //!
 //! Photographs belong to the process that has read them ([`OwnedItems`](crate::ranks::owned::OwnedItems)). What is not split, and is done by each: the pool, linear solves, rays of pixels, loss, sums per texel, optimizers, what is between fits, and everything else of a moving shape or camera. While [placements](super::placements) turn,
 //! nothing is split, because their system reads the shadows of a whole window.
 //!
 //! A stop waits ([`HeldStops`](crate::error::stop::HeldStops)) until the processes exchange something, and is then known to all of them. An error of one process ends it, and whoever started the processes has to end the others.
 
-mod gradient;
-
 use super::components::StepGradient;
 use super::guard::check_adjoints;
 use super::placements::PlacementsTurn;
 use super::roughness::blend::{BlendAdjoints, PerMaterial};
-use crate::material::material_source::BaseMaterials;
 use crate::math::shading::{CHUNK, Layers, PointAdjoint};
 use crate::pipeline::pool::Pool;
 use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage, SystemResult};
@@ -34,7 +31,6 @@ use crate::ranks::packed::Message;
 use crate::ranks::{Ranks, share};
 use crate::sample::pixel::{SampleIndex, Window};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, World};
-use gradient::{add_gradient, sum_gradients};
 use std::ops::Range;
 
 /// The systems that share the samples of a step among processes.
@@ -125,7 +121,6 @@ pub fn gather_adjoints(
     ranks: Res<Ranks>,
     share: Res<WindowShare>,
     mut window: ResMut<Window>,
-    materials: Res<BaseMaterials>,
     mut gradient: ResMut<StepGradient>,
     mut blends: ResMut<BlendAdjoints>,
     samples: Pool<SampleIndex, &mut PointAdjoint>,
@@ -134,7 +129,7 @@ pub fn gather_adjoints(
     if !share.is_split {
         return Ok(());
     }
-    let blended = materials.blended && !materials.lobes.is_empty();
+    let blended = gradient.is_blended();
     let mut back = samples.rows(share.whole.clone())?;
     let mut message = Message::default();
     message.add_column(&back[share.of(ranks.rank(), ranks.size())]);
@@ -142,7 +137,7 @@ pub fn gather_adjoints(
         message.add_column(&blends.0);
         blends.0 = vec![PerMaterial::default(); share.whole.len()];
     }
-    add_gradient(&mut message, &gradient, blended);
+    message.add(gradient.chunk_values());
     let mut parts = message.exchange(&ranks)?;
     for (rank, part) in parts.iter_mut().enumerate() {
         let rows = share.of(rank, ranks.size());
@@ -151,5 +146,7 @@ pub fn gather_adjoints(
             part.take_column(rows, &mut blends.0)?;
         }
     }
-    Ok(sum_gradients(&mut gradient, &mut parts, blended)?)
+    let chunks: Vec<f32> = parts.iter().flat_map(|part| part.rest()).copied().collect();
+    gradient.set_chunk_values(&chunks);
+    Ok(())
 }
