@@ -18,24 +18,26 @@ use std::time::{Duration, Instant};
 /// The files of a pass, by name.
 type Found = BTreeMap<String, String>;
 
-/// Runs a scene on so many threads as ranks, each in a folder of its own within `out`; returns how each has ended. `Err` if it was killed.
-fn run_in(
-    data: &Data,
-    text: &str,
-    out: &str,
-    size: usize,
+/// How ranks start, and where they are killed.
+#[derive(Clone, Copy, Default)]
+struct Start {
     resume: bool,
+    force: bool,
     death: Option<Death>,
-) -> Vec<Result<Result<()>, ()>> {
+}
+
+/// Runs a scene on so many threads as ranks, each in a folder of its own within `out`; returns how each has ended. `Err` if it was killed.
+fn run_in(data: &Data, text: &str, out: &str, size: usize, start: Start) -> Vec<Result<Result<()>, ()>> {
     let path = data.path("scene.ron");
     std::fs::write(&path, text).unwrap();
     let work = |rank: ThreadRank, number: usize| {
         let options = LoadOptions { data: Some(data.root().to_owned()), ..LoadOptions::default() };
         let loaded = load(&path, &options).unwrap();
         let ranks = (size > 1).then(|| Ranks::new(Arc::new(rank)));
+        let Start { resume, force, death } = start;
         let checkpoint = (resume || death.is_some()).then_some(Duration::ZERO);
         let out = data.path(&format!("{out}/{number}"));
-        let options = RunOptions { out, ranks, resume, checkpoint, ..RunOptions::default() };
+        let options = RunOptions { out, ranks, resume, force, checkpoint, ..RunOptions::default() };
         catch_unwind(AssertUnwindSafe(|| pass::run(&loaded, &options, &Killer(death)))).map_err(|_| ())
     };
     std::thread::scope(|scope| {
@@ -59,7 +61,7 @@ fn found_in(data: &Data, out: &str, pass: &str, size: usize) -> Vec<(Found, Opti
 /// Runs a scene on so many threads as ranks; returns what each has written for the pass, and what the first has saved.
 fn run(data: &Data, text: &str, pass: &str, size: usize) -> Vec<(Found, Option<Found>)> {
     let out = size.to_string();
-    run_in(data, text, &out, size, false, None).into_iter().for_each(|ended| ended.unwrap().unwrap());
+    run_in(data, text, &out, size, Start::default()).into_iter().for_each(|ended| ended.unwrap().unwrap());
     found_in(data, &out, pass, size)
 }
 
@@ -184,15 +186,19 @@ fn a_run_goes_on_with_another_number_of_ranks() {
     let passes = r#"Fit(name: "fit", steps: 40, batch: 800), Save(name: "save"),"#;
     let text = scene(MESH, "material: (gloss: One),", passes);
     let (alone, saved) = run(&data, &text, "fit", 1).remove(0);
+    let resume = Start { resume: true, ..Start::default() };
     for (before, after) in [(1, 3), (2, 1), (3, 2)] {
         let killed = format!("killed-{before}");
-        let ended = run_in(&data, &text, &killed, before, false, Some(("fit", 23)));
+        let death = Some(("fit", 23));
+        let ended = run_in(&data, &text, &killed, before, Start { death, ..Start::default() });
         assert!(ended.iter().all(Result::is_err), "{ended:?}");
         let resumed = format!("resumed-{after}");
         for rank in 0..after {
             copy_folder(&data.path(&format!("{killed}/0")), &data.path(&format!("{resumed}/{rank}")));
         }
-        let ended = run_in(&data, &text, &resumed, after, true, None);
+        let ended = run_in(&data, &text, &resumed, after, resume);
+        let told = std::fs::read_to_string(data.path(&resumed).join("0/run.json")).unwrap();
+        assert!(told.contains("the run goes on in pass fit after step 2"), "{told}");
         assert!(ended.iter().all(|ended| matches!(ended, Ok(Ok(())))), "{ended:?}");
         for (rank, (found, also)) in found_in(&data, &resumed, "fit", after).into_iter().enumerate() {
             assert!(found == alone, "rank {rank} of {after} differs after {before}:\n{alone:?}\n{found:?}");
@@ -201,10 +207,32 @@ fn a_run_goes_on_with_another_number_of_ranks() {
     }
     // One of them does not see what the others go on from.
     copy_folder(&data.path("killed-1/0"), &data.path("unlike/1"));
-    for ended in run_in(&data, &text, "unlike", 2, true, None) {
+    for ended in run_in(&data, &text, "unlike", 2, resume) {
         let said = ended.unwrap().unwrap_err().to_string();
         assert!(said.contains("different checkpoints"), "{said}");
     }
+    // The first process alone sees the run that is replaced.
+    copy_folder(&data.path("killed-1/0"), &data.path("replaced/0"));
+    let again = Start { force: true, ..Start::default() };
+    let ended = run_in(&data, &text, "replaced", 2, again);
+    assert!(ended.iter().all(|ended| matches!(ended, Ok(Ok(())))), "{ended:?}");
+}
+
+#[test]
+fn a_program_without_mpi_is_not_one_of_several() {
+    if cfg!(feature = "mpi") {
+        println!("left out: the program has the feature mpi");
+        return;
+    }
+    let data = Data::new();
+    let several = |arguments: &[&str]| {
+        let mut program = command(&["run", "scene.ron"]);
+        Outcome::of(program.args(arguments).current_dir(data.root()).env("OMPI_COMM_WORLD_SIZE", "2"))
+    };
+    let refused = several(&[]);
+    assert!(refused.code == Some(2) && refused.stderr.contains("--features mpi"), "{}", refused.stderr);
+    // Units of a job know nothing of each other.
+    assert!(!several(&["--only", "vase"]).stderr.contains("mpi"));
 }
 
 fn copy_folder(from: &Path, to: &Path) {

@@ -29,11 +29,11 @@ fn run_as(args: &RunArgs, mpi: &Mpi) -> Result<()> {
     let ranks = mpi.ranks();
     let mut own = None;
     let mut adapt = |options: &mut RunOptions| {
+        let least = ranks.numbers(options.memory.unwrap_or(u64::MAX))?.into_iter().min();
+        let most = ranks.numbers(mpi.processes_here())?.into_iter().max();
         if args.memory.is_none() {
-            let least = ranks.numbers(options.memory.unwrap_or(u64::MAX))?.into_iter().min();
             options.memory = least.filter(|bytes| *bytes < u64::MAX);
-            options.memory_shared_by =
-                ranks.numbers(mpi.processes_here())?.into_iter().max().unwrap_or(1) as usize;
+            options.memory_shared_by = most.unwrap_or(1) as usize;
         }
         if ranks.rank() > 0 {
             own = Some(step_aside(options)?);

@@ -61,7 +61,7 @@ fn units(out: &Path, args: &ReportArgs) -> Result<Vec<UnitRow>> {
     merge::units(out, &named.unwrap_or_default())
 }
 
-/// What many units have come to.
+/// What many units have come to. All is written before the error of a film that cannot be read.
 fn write_units(out: &Path, page: &Path, units: Vec<UnitRow>) -> Result<()> {
     let merged = merge::merge(out, units)?;
     write_bytes(page, merged.page.as_bytes())?;
@@ -70,7 +70,11 @@ fn write_units(out: &Path, page: &Path, units: Vec<UnitRow>) -> Result<()> {
         let _ = writeln!(text, "{}: {}", film.file.display(), film.words());
     }
     let _ = writeln!(text, "{}, {}", page.display(), out.join(merge::UNITS).display());
-    print(&text)
+    print(&text)?;
+    match merged.films.into_iter().find(|film| film.is_unreadable) {
+        Some(film) => Err(Error::run(film.file.display().to_string(), film.words())),
+        None => Ok(()),
+    }
 }
 
 /// Folders of one name are called by as much of their paths as tells them apart.

@@ -205,10 +205,11 @@ fn parts_of_films(units: &[UnitRow]) -> BTreeMap<String, FilmParts> {
 /// Joins a film whose frames are all there. What cannot be read of it is told with the film, since the others and the page are whole without it.
 fn join(out: &Path, pass: &str, parts: &FilmParts) -> Result<JoinedFilm> {
     let file = out.join(format!("{pass}.mp4"));
-    let mut joined = JoinedFilm { file, there: 0, frames: parts.frames, problem: None };
+    let mut joined = JoinedFilm { file, frames: parts.frames, ..JoinedFilm::default() };
     match write_film(out, pass, parts, &mut joined) {
         Err(error @ (Error::Input { .. } | Error::Io { action: "read", .. })) => {
             joined.problem = Some(format!("{error}; run its unit again with --force"));
+            joined.is_unreadable = true;
         }
         written => written?,
     }

@@ -91,7 +91,12 @@ mod tests {
         };
         let bad = Outcome { state: "failed".into(), error: Some("<script>".into()), ..Outcome::default() };
         let units = [("vase".to_owned(), good), ("jug".to_owned(), bad)];
-        let film = JoinedFilm { file: "/jobs/museum/turn.mp4".into(), there: 3, frames: 48, problem: None };
+        let film = JoinedFilm {
+            file: "/jobs/museum/turn.mp4".into(),
+            there: 3,
+            frames: 48,
+            ..JoinedFilm::default()
+        };
         let page = page(Path::new("/jobs/museum"), &units, &[film]);
         assert!(
             page.contains("2 units: 1 failed, 1 finished") && page.contains("href=\"vase/report.html\""),

@@ -36,6 +36,8 @@ pub struct JoinedFilm {
     pub frames: u32,
     /// Why it was not joined although they may all be there.
     pub problem: Option<String>,
+    /// Whether that is because a frame or a folder of frames cannot be read.
+    pub is_unreadable: bool,
 }
 
 impl JoinedFilm {

@@ -169,7 +169,7 @@ fn run_passes(
         && record::check_resumed(&options.out, loaded, has_checkpoints || options.begin_again)?;
     let begun = if options.resume && !has_finished { kept? } else { None };
     let ranks = options.ranks.as_ref().filter(|ranks| ranks.size() > 1);
-    ranks.map_or(Ok(()), |ranks| resume::agree(ranks, loaded, &options.out, begun.as_ref(), has_finished))?;
+    ranks.map_or(Ok(()), |ranks| resume::agree(ranks, loaded, options, begun.as_ref(), has_finished))?;
     if has_finished {
         leave_finished(&options.out, progress);
         return Ok(());

@@ -33,10 +33,10 @@ pub fn is_started() -> bool {
     STARTED.iter().any(|name| std::env::var_os(name).is_some())
 }
 
-/// Whether `mpirun` has started it as one of several.
+/// Whether it was started as one of several, as far as the launcher says how many they are.
 pub fn is_one_of_several() -> bool {
-    let size = |name: &str| std::env::var(name).ok()?.parse::<u64>().ok();
-    size(STARTED[0]).is_some_and(|size| size > 1)
+    let size = |name: &&str| std::env::var(name).ok()?.parse::<u64>().ok();
+    STARTED.iter().filter(|name| name.ends_with("SIZE")).filter_map(size).any(|size| size > 1)
 }
 
 /// A group of processes (or threads) that call the same functions in the same order. A call returns once all have called it.

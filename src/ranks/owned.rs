@@ -79,7 +79,7 @@ impl<'a, V: Sync> OwnedItems<'a, V> {
     }
 
     /// Hands the items that `is_wanted` says of their places to `take`, in their order: large ones, of which only as many as there are processes are sent
-    /// before they are taken. Those that are not wanted here are sent to others that want them.
+    /// before they are taken. All processes get the bytes of all; those that are not wanted are dropped.
     ///
     /// # Errors
     /// If another process is gone.

@@ -6,7 +6,7 @@
 //! | texels | texels × `TEXEL_BYTES` | |
 //! | `Fit` | `FIT_BYTES` + pixels in the pool × `POOL_BYTES`, with unknown cameras and `GRADIENT_BYTES`, + texels × `FIT_TEXEL_BYTES` | steps × batch, half of it before the first milestone, × lobes × `FIT_PAIR_NANOS` + pixels in the pool × `FIT_START_NANOS` |
 //! | `Fit(detail: true)` | the same + `DETAIL_BYTES` + pixels × `DETAIL_PIXEL_BYTES` | three times as long + pixels × `DETAIL_PIXEL_NANOS` |
-//! | `Shape` | pixels in the pool × `POOL_BYTES` + cells³ × `CELL_BYTES` | steps × batch × `SHAPE_PIXEL_NANOS` |
+//! | `Shape` | pixels in the pool × `POOL_BYTES` + cells³ × `CELL_BYTES` + cells of the lattice³ × `LATTICE_BYTES` | steps × batch × `SHAPE_PIXEL_NANOS` |
 //! | its mesh | cells² × `MESH_BYTES` | |
 //! | shadows | [`VisibilitySettings::bytes`] of the texels | rows × directions × `RAY_NANOS` |
 //! | `Render` and the like | [`frame_bytes`] (or [`denoised_frame_bytes`]) of the largest view; [`film_bytes`] of the film | samples in the object (in a film fewer, `FILM_REFINED`) × (lobes × `RENDER_PAIR_NANOS` + `SAMPLE_NANOS`) + pixels × `PICTURE_PIXEL_NANOS` |
@@ -65,8 +65,10 @@ pub(crate) const SCORE_PIXEL_BYTES: f64 = 105.0;
 pub(crate) const DETAIL_BYTES: f64 = 250e6;
 /// Bytes of a pixel that the sweeps over the texture visit: what is kept of it, and 50 as measured on the same sets.
 pub(crate) const DETAIL_PIXEL_BYTES: f64 = 50.0 + size_of::<KeptPixel>() as f64;
-/// Bytes of a cell of a shape's grid, with its adjoints and moments, while its outlines are fitted.
-pub(crate) const CELL_BYTES: f64 = 110.0;
+/// Bytes of a cell of a shape's grid, with its adjoints and moments, while its outlines are fitted: `spot`, 128 to 512 cells a side.
+pub(crate) const CELL_BYTES: f64 = 24.0;
+/// Bytes of a cell of the lattice of albedo, of which those near the surface have texels: the same with 64 and 256 cells a side.
+pub(crate) const LATTICE_BYTES: f64 = 135.0;
 /// Bytes of a found mesh and of what is made to intersect it, per square of the cells on a side: about six triangles.
 pub(crate) const MESH_BYTES: f64 = 9e3;
 /// Bytes of the program itself.
@@ -404,8 +406,11 @@ impl Task<'_> {
     fn shape(&self, shape: &ShapePass) -> PartEstimate {
         let levels = self.resolved(&shape.levels);
         let steps: f64 = levels.iter().map(|level| f64::from(level.steps)).sum();
-        let cells = levels.iter().map(|level| f64::from(level.cells).powi(3)).fold(0.0, f64::max);
-        let bytes = self.pool(shape.max_pixels) * pool_bytes(shape.cameras) + cells * CELL_BYTES;
+        let cube = |cells: u32| f64::from(cells).powi(3);
+        let of_level =
+            |level: &GridLevel| cube(level.cells) * CELL_BYTES + cube(level.texel_cells) * LATTICE_BYTES;
+        let bytes = self.pool(shape.max_pixels) * pool_bytes(shape.cameras)
+            + levels.iter().map(of_level).fold(0.0, f64::max);
         self.part(&shape.name, bytes, steps * f64::from(shape.batch) * SHAPE_PIXEL_NANOS, false)
     }
 

@@ -12,6 +12,7 @@ use crate::material::replace_materials;
 use crate::math::lanes::level_name;
 use crate::mesh::Surface;
 use crate::mesh::triangles::Mesh;
+use crate::pass::RunOptions;
 use crate::pass::progress::Progress;
 use crate::pass::session::{Chosen, Placed, Session};
 use crate::ranks::Ranks;
@@ -135,7 +136,8 @@ impl RunStart {
         if self.within_memory != now.within_memory {
             let problem =
                 "the run was begun with other sizes of its pools, because it was allowed other memory";
-            return Err(Error::usage(problem, "Give the same --memory, or start again with --force."));
+            let help = "Give the same --memory, or start as many processes on a machine, or start again with --force.";
+            return Err(Error::usage(problem, help));
         }
         if self.threads != now.threads {
             let text = format!(
@@ -175,11 +177,12 @@ impl RunStart {
 pub(super) fn agree(
     ranks: &Ranks,
     loaded: &LoadedScene,
-    out: &Path,
+    options: &RunOptions,
     begun: Option<&RunStart>,
     has_finished: bool,
 ) -> Result<()> {
-    let mut kept = places(&out.join(FOLDER));
+    // Those of a run that is replaced only the first process sees.
+    let mut kept = if begun.is_some() { places(&options.out.join(FOLDER)) } else { Vec::new() };
     kept.sort_unstable();
     let state =
         if has_finished { "a finished run".to_owned() } else { format!("{:016x}", hash_of(&(begun, kept))) };
@@ -188,6 +191,7 @@ pub(super) fn agree(
         ("numbers of threads", rayon::current_num_threads().to_string()),
         ("instruction sets", level_name().to_owned()),
         ("scenes", format!("{:016x}", hash_of(&loaded.scene))),
+        ("amounts of memory", format!("{:?} bytes, by {}", options.memory, options.memory_shared_by)),
         ("checkpoints to go on from", state),
     ])
 }
