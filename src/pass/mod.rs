@@ -168,8 +168,7 @@ fn run_passes(
     let has_finished = options.resume
         && record::check_resumed(&options.out, loaded, has_checkpoints || options.begin_again)?;
     let begun = if options.resume && !has_finished { kept? } else { None };
-    let ranks = options.ranks.as_ref().filter(|ranks| ranks.size() > 1);
-    ranks.map_or(Ok(()), |ranks| resume::agree(ranks, loaded, options, begun.as_ref(), has_finished))?;
+    let ranks = agreed_ranks(loaded, options, begun.as_ref(), has_finished)?;
     if has_finished {
         leave_finished(&options.out, progress);
         return Ok(());
@@ -192,6 +191,19 @@ fn run_passes(
     (session.watched, session.profiler) = (watched, profiler);
     let (record, done) = begin(&mut session, claim, loaded, data.as_ref(), options, begun)?;
     run_to_end(session, record, options, &told, done)
+}
+
+/// The processes that carry out the run, if they are several: they begin alike.
+fn agreed_ranks<'a>(
+    loaded: &LoadedScene,
+    options: &'a RunOptions,
+    begun: Option<&RunStart>,
+    has_finished: bool,
+) -> Result<Option<&'a Ranks>> {
+    let Some(ranks) = options.ranks.as_ref().filter(|ranks| ranks.size() > 1) else { return Ok(None) };
+    let memory = format!("{:?} bytes, shared by {}", options.memory, options.memory_shared_by);
+    resume::agree(ranks, loaded, (&options.out, memory), begun, has_finished)?;
+    Ok(Some(ranks))
 }
 
 /// Checks a scene before anything that it names is read; one that goes on must be as it was when the run was `begun`.

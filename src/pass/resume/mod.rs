@@ -12,7 +12,6 @@ use crate::material::replace_materials;
 use crate::math::lanes::level_name;
 use crate::mesh::Surface;
 use crate::mesh::triangles::Mesh;
-use crate::pass::RunOptions;
 use crate::pass::progress::Progress;
 use crate::pass::session::{Chosen, Placed, Session};
 use crate::ranks::Ranks;
@@ -170,19 +169,19 @@ impl RunStart {
     }
 }
 
-/// Checks that all processes begin alike: those that do not would wait for each other forever, or find something else.
+/// Checks that all processes begin alike: those that do not would wait for each other forever, or find something else. `memory` says what they may take; `out` is the output folder of this one.
 ///
 /// # Errors
 /// [`Error::Usage`] that says what differs; if another process is gone.
 pub(super) fn agree(
     ranks: &Ranks,
     loaded: &LoadedScene,
-    options: &RunOptions,
+    (out, memory): (&Path, String),
     begun: Option<&RunStart>,
     has_finished: bool,
 ) -> Result<()> {
     // Those of a run that is replaced only the first process sees.
-    let mut kept = if begun.is_some() { places(&options.out.join(FOLDER)) } else { Vec::new() };
+    let mut kept = if begun.is_some() { places(&out.join(FOLDER)) } else { Vec::new() };
     kept.sort_unstable();
     let state =
         if has_finished { "a finished run".to_owned() } else { format!("{:016x}", hash_of(&(begun, kept))) };
@@ -191,7 +190,7 @@ pub(super) fn agree(
         ("numbers of threads", rayon::current_num_threads().to_string()),
         ("instruction sets", level_name().to_owned()),
         ("scenes", format!("{:016x}", hash_of(&loaded.scene))),
-        ("amounts of memory", format!("{:?} bytes, by {}", options.memory, options.memory_shared_by)),
+        ("amounts of memory", memory),
         ("checkpoints to go on from", state),
     ])
 }
