@@ -2,7 +2,7 @@
 //!
 //! All processes ([`Ranks`]) run the same program on the same scene and do everything alike, but for what costs most. In a step that are the systems in
 //! [`Slot::Visibility`], [`Slot::Shading`] and [`Slot::ShadingAdjoint`], which run on a process's share of the [`Window`] alone; the
-//! results go to all. Besides, the tracing of shadows, their updates, the trials of a start, the shading of the initialization, the visual hull, hollows, outlines and stereo
+//! results go to all. Besides, the tracing of shadows, their updates, the trials of a start, the shading of the initialization, the visual hull, hollows, outlines, stereo and normals by reflections
 //! are divided where they are done ([`Ranks::share`]).
 //!
 //! | system | stage, slot | does |
