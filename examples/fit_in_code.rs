@@ -51,7 +51,7 @@ fn photographs_of(surface: &Arc<Surface>, gloss: SpecularLobe) -> Result<Vec<Vie
     cameras.map(|(i, camera)| photograph(&mut studio, format!("view_{i}"), camera)).collect()
 }
 
-/// What the studio looks like through a camera.
+/// Renders the studio through a camera.
 fn photograph(studio: &mut Pipeline, name: String, camera: Camera) -> Result<ViewRecord> {
     let frame = resolve(&render_frame(studio, camera, 4)?);
     let image = Image { width: SIZE, height: SIZE, pixels: frame.color };

@@ -5,7 +5,7 @@
 use image::{Rgb, RgbImage, imageops};
 use lobelia::codec::png_file::write_rgb8;
 use lobelia::prelude::*;
-use lobelia::report::font::{draw_text, text_width};
+use lobelia::report::sheet::{draw_text, text_width};
 use lobelia::report::tone::srgb8;
 
 const MAP: (u32, u32) = (360, 180);

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! cargo run --release --example stanford_orb -- prepare ORB teapot_scene001 OUT
-//! lobelia run OUT/scene.ron --data OUT --out OUT/run --allow-outside
+//! lobelia run OUT/scene.ron --data OUT --out OUT/run
 //! cargo run --release --example stanford_orb -- mean OUT/run
 //! ```
 //!
@@ -41,7 +41,7 @@ fn carry_out() -> Result<()> {
     match words.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
         ["prepare", orb, capture, out] => {
             let scene = prepare(Path::new(orb), capture, Path::new(out), DOWNSCALE)?;
-            println!("lobelia run {} --data {out} --out {out}/run --allow-outside", scene.display());
+            println!("lobelia run {} --data {out} --out {out}/run", scene.display());
         }
         ["mean", run] => {
             let [psnr_h, psnr_l, pictures] = mean(Path::new(run))?;

@@ -24,7 +24,7 @@ fn main() -> Result<()> {
     picture(&mut pipeline, "swap_light_map")
 }
 
-/// A blue dome over a dark ground, with a low orange sun; any EXR or HDR file would do (`EnvironmentMap::read`).
+/// A blue dome over a dark ground, with a low orange sun; any EXR or HDR file would do (`codec::envmap::read_map`).
 fn evening_sky() -> EnvironmentMap {
     EnvironmentMap::from_directions(128, 64, |omega| {
         let dome = Vec3::new(0.1, 0.2, 0.5) * omega.y.max(0.0) + Vec3::new(0.05, 0.04, 0.03);

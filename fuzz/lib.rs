@@ -1,4 +1,4 @@
-//! What the targets share: the input as a file, because parsers read files.
+//! Shared code of the targets: the input as a file, because parsers read files.
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};

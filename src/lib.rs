@@ -29,17 +29,14 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`scene`] | scene files: their types, reading and checks |
-//! | [`dataset`] | folders of photographs with cameras, in ten layouts |
+//! | [`dataset`] | folders of photographs with cameras, in several layouts |
 //! | [`codec`] | file formats of images, environment maps, lobes and meshes |
 //! | [`view`] | cameras, photographs, masks |
 //! | [`mesh`], [`sdf`] | surfaces: triangles with a texel atlas; signed distance fields |
 //! | [`light`] | lobes, environment maps, named lights, and maps fitted by lobes |
 //! | [`material`] | texels, base materials, edits, and the material that is shown |
-//! | [`jobs`] | many objects and frames as units of their own |
 //! | [`spawn`] | from a scene, or from values in code, to entities |
 //! | [`pipeline`] | phases, stages, slots, plugins, and pools of entities as slices |
-//! | [`profile`] | where the time of a run goes |
-//! | [`ranks`] | processes that work on one fit, and what they say to each other |
 //! | [`checkpoint`] | what a run goes on from after it was killed |
 //! | [`sample`] | pixel samples: rays, surface points, windows |
 //! | [`visibility`] | shadows and interreflection for closed forms |
@@ -51,17 +48,12 @@
 //! | [`survey`] | what of a data set cannot work, before a run |
 //! | [`pass`] | the passes of a scene file |
 //! | [`prepare`] | from photographs without cameras to a data set and a scene file |
-//! | [`math`] | the kernels under all of these, from the crate `lobelia-math` |
+//! | [`sg`] | the kernels under all of these, from the crate `lobelia-sg` |
 //! | [`error`] | the one error type |
 //!
-//! # Features
+//! # Dependencies
 //!
-//! | feature | default | adds |
-//! | --- | --- | --- |
-//! | `cli` | on | the command `lobelia`, with its dependencies |
-//! | `mpi` | off | one fit on many processes; needs an MPI library, and libclang to build |
-//!
-//! A program that uses the library alone depends on it with `default-features = false`. [`bevy_ecs`] and [`glam`] are exported, so that
+//! The command is the crate `lobelia-cli`; a program that uses the library needs none of it. [`bevy_ecs`] and [`glam`] are exported, so that
 //! it needs no versions of its own that match; derive macros such as `Component` work where [`prelude`] is imported.
 //!
 //! # The manual
@@ -71,37 +63,36 @@
 //! and parametrizations; *Extending Lobelia* is the guide to systems, slots and plugins of your own. The folder `examples` has
 //! short programs.
 
-pub mod checkpoint;
-pub mod codec;
-pub mod dataset;
-pub mod error;
-pub mod fit;
-pub mod jobs;
-pub mod light;
-pub mod material;
-pub mod mesh;
 pub mod page;
 pub mod pass;
-pub mod pipeline;
 pub mod prelude;
 pub mod prepare;
-pub mod profile;
-pub mod ranks;
 pub mod report;
-pub mod sample;
 pub mod scene;
-pub mod sdf;
-pub mod shade;
-pub mod shape;
 pub mod spawn;
 pub mod survey;
-pub mod view;
-pub mod visibility;
+
+use std::sync::OnceLock;
 
 pub use bevy_ecs;
-pub use error::{Error, Result};
 pub use glam;
-pub use lobelia_math as math;
+pub use lobelia_geometry::{Error, Result, error, mesh, sdf, view};
+pub use lobelia_io::{codec, dataset};
+pub use lobelia_sg as sg;
+pub use lobelia_solve::{fit, shade, shape, visibility};
+pub use lobelia_world::{checkpoint, light, material, pipeline, sample};
+
+static VERSION: OnceLock<String> = OnceLock::new();
+
+/// Version in manifests, reports and checkpoints: that of this crate, or of the program that called [`set_version`].
+pub fn version() -> &'static str {
+    VERSION.get().map_or(env!("CARGO_PKG_VERSION"), String::as_str)
+}
+
+/// Names the version of the program, once and before its first run. A commit in it does not compile this crate again.
+pub fn set_version(version: &str) {
+    VERSION.get_or_init(|| version.to_owned());
+}
 
 /// The `rust` blocks of the README, compiled as doctests.
 #[cfg(doctest)]

@@ -1,16 +1,16 @@
-//! What a program that uses the library needs to write a scene in code, render it, fit it, edit it and relight it.
+//! Names that a program needs to write a scene in code, render it, fit it, edit it and relight it.
 //!
 //! | group | names |
 //! | --- | --- |
 //! | results | [`Result`], [`Error`], [`SystemResult`] |
-//! | the pipeline | [`Pipeline`], [`Plugin`], [`Phase`], [`Stage`], [`Slot`], [`SlotLabel`], [`GatherPoints`], [`ScatterAdjoints`] |
+//! | the pipeline | [`Pipeline`], [`Plugin`], [`Phase`], [`Stage`], [`Slot`], [`GatherPoints`], [`ScatterAdjoints`] |
 //! | pools | [`Texels`], [`Samples`], [`TexelIndex`], [`SampleIndex`], [`Observation`], [`ObservationIndex`], [`read_column`], [`write_column`] |
 //! | surfaces | [`Surface`], [`Mesh`], [`sphere_mesh`], [`box_mesh`] |
 //! | views | [`Camera`], [`ViewRecord`], [`ViewIndex`], [`Photograph`], [`StoredMask`], [`Image`], [`Mask`], [`Split`] |
 //! | light | [`LightLobe`], [`EnvironmentMap`], [`MapLight`], [`MapConvention`], [`render_lobes`], [`fit_map`], [`MapFit`] |
 //! | lights in a world | [`spawn_light`], [`provide_light`], [`LightChoice`], [`LightName`], [`LobeOf`] |
 //! | recovered material | [`DiffuseAlbedo`], [`DiffuseSheen`], [`DiffuseTilt`], [`SpecularBlend`], [`SpecularLobe`], [`BaseMaterial`] |
-//! | shown material | [`ShownAlbedo`], [`ShownSheen`], [`ShownTilt`], [`ShownBlend`], [`ShownSpecular`], [`show_recovered`], [`show_edited`], [`Composition`], [`recovered_changed`], [`frame_material`] |
+//! | shown material | [`Shown`], [`show_recovered`], [`show_edited`], [`Composition`], [`recovered_changed`], [`frame_material`] |
 //! | edits | [`EditName`], [`EditOrder`], [`EditTarget`], [`EditAction`], [`EditRegion`] |
 //! | rendering | [`spawn_object`], [`FramePlugin`], [`render_frame`], [`resolve`], [`Frame`], [`save_png`], [`Look`] |
 //! | shading | [`shade_closed_form`], [`ClosedForm`], [`Quality`], [`shade_path_traced`], [`PathTracing`] |
@@ -34,54 +34,50 @@
 //! ```
 
 // Results.
-pub use crate::error::{Error, Result};
-pub use crate::pipeline::SystemResult;
+pub use lobelia_geometry::error::{Error, Result};
+pub use lobelia_world::pipeline::SystemResult;
 
 // The pipeline and its pools.
-pub use crate::material::{TexelIndex, Texels};
-pub use crate::pipeline::pool::{read_column, write_column};
-pub use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, ScatterAdjoints, Slot, SlotLabel, Stage};
-pub use crate::sample::Samples;
-pub use crate::sample::observation::{Observation, ObservationIndex};
-pub use crate::sample::pixel::SampleIndex;
+pub use lobelia_world::material::{TexelIndex, Texels};
+pub use lobelia_world::pipeline::pool::{read_column, write_column};
+pub use lobelia_world::pipeline::{GatherPoints, Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
+pub use lobelia_world::sample::pixel::SampleIndex;
+pub use lobelia_world::sample::{Observation, ObservationIndex, Samples};
 
 // Surfaces and views.
-pub use crate::mesh::Surface;
-pub use crate::mesh::primitive::{box_mesh, sphere_mesh};
-pub use crate::mesh::triangles::Mesh;
-pub use crate::view::{Camera, Image, Mask, Photograph, Split, StoredMask, ViewIndex, ViewRecord};
+pub use lobelia_geometry::mesh::Surface;
+pub use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
+pub use lobelia_geometry::mesh::triangles::Mesh;
+pub use lobelia_geometry::view::{Camera, Image, Mask, Photograph, Split, StoredMask, ViewIndex, ViewRecord};
 
 // Light.
-pub use crate::light::convention::MapConvention;
-pub use crate::light::illuminate::MapLight;
-pub use crate::light::lights::{LightChoice, LightName, LobeOf, provide_light, spawn_light};
-pub use crate::light::map_fit::{MapFit, fit_map};
-pub use crate::light::{EnvironmentMap, LightLobe, render_lobes};
+pub use lobelia_world::light::convention::MapConvention;
+pub use lobelia_world::light::illuminate::MapLight;
+pub use lobelia_world::light::lights::{LightChoice, LightName, LobeOf, provide_light, spawn_light};
+pub use lobelia_world::light::map_fit::{MapFit, fit_map};
+pub use lobelia_world::light::{EnvironmentMap, LightLobe, render_lobes};
 
 // Material and edits.
-pub use crate::material::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget};
-pub use crate::material::shown::{
-    Composition, ShownAlbedo, ShownBlend, ShownSheen, ShownSpecular, ShownTilt, recovered_changed,
-    show_edited, show_recovered,
-};
-pub use crate::material::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe,
+pub use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget};
+pub use lobelia_world::material::shown::{Composition, recovered_changed, show_edited, show_recovered};
+pub use lobelia_world::material::{
+    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, Shown, SpecularBlend, SpecularLobe,
 };
 
 // Rendering.
-pub use crate::codec::exr_frame::Frame;
-pub use crate::math::accurate::Quality;
-pub use crate::math::shading::ClosedForm;
 pub use crate::report::tone::{Look, save_png};
-pub use crate::shade::frame::{FramePlugin, frame_material, render_frame, resolve};
-pub use crate::shade::{PathTracing, shade_closed_form, shade_path_traced};
-pub use crate::spawn::spawn_object;
-pub use crate::visibility::{FrameVisibilityPlugin, ObjectVisibility, VisibilitySettings};
+pub use lobelia_geometry::view::Frame;
+pub use lobelia_sg::accurate::Quality;
+pub use lobelia_sg::shading::ClosedForm;
+pub use lobelia_solve::shade::frame::{FramePlugin, frame_material, render_frame, resolve};
+pub use lobelia_solve::shade::{PathTracing, shade_closed_form, shade_path_traced};
+pub use lobelia_solve::visibility::{FrameVisibilityPlugin, ObjectVisibility, VisibilitySettings};
+pub use lobelia_world::sample::spawn_object;
 
 // Fitting.
-pub use crate::fit::components::Unknowns;
-pub use crate::fit::run::{FitOptions, FitPlugin, FitProgress, FitSummary, Initialize, run_fit};
-pub use crate::spawn::spawn_views;
+pub use lobelia_geometry::view::spawn_views;
+pub use lobelia_solve::fit::components::Unknowns;
+pub use lobelia_solve::fit::run::{FitOptions, FitPlugin, FitProgress, FitSummary, Initialize, run_fit};
 
 // Other crates. The derive macros of bevy_ecs look for a crate or module of that name.
 pub use bevy_ecs;

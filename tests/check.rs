@@ -1,6 +1,9 @@
-//! `lobelia check` on photographs: what it says, what it writes, and what stops a run before it costs time.
+//! `lobelia check` on photographs: what it says, what it writes, what stops a run before it costs time, and that the two agree: what one
+//! refuses the other refuses, with the same message, and what `check` takes does run.
 
 use crate::common::{Data, Outcome, command, files_below};
+use rand::rngs::SmallRng;
+use rand::{RngExt, SeedableRng};
 use serde_json::Value;
 
 const SCENE: &str = r#"Scene(
@@ -17,52 +20,40 @@ const SCENE: &str = r#"Scene(
 )
 "#;
 
-fn check(data: &Data, scene: &str, arguments: &[&str]) -> Outcome {
-    let path = data.path("scene.ron");
-    std::fs::write(&path, scene).unwrap();
-    Outcome::of(command(&["check"]).arg(path).args(arguments))
-}
-
-fn check_data(data: &Data, arguments: &[&str]) -> Outcome {
-    let root = data.root().to_str().unwrap().to_owned();
-    check(data, SCENE, &[&["--data", root.as_str()], arguments].concat())
+/// Checks the scene in the folder of its data.
+fn check(data: &Data, arguments: &[&str]) -> Outcome {
+    data.write("scene.ron", SCENE);
+    Outcome::of(command(&["check", "scene.ron"]).args(arguments).current_dir(data.root()))
 }
 
 #[test]
 fn good_data_is_described() {
     let data = Data::new();
-    let outcome = check_data(&data, &[]).succeeded();
+    let outcome = check(&data, &["--data", "."]).succeeded();
     let text = &outcome.stdout;
-    assert!(text.starts_with(&format!("{}: fine\n", data.path("scene.ron").display())), "{text}");
+    assert!(text.starts_with("scene.ron: fine\n"), "{text}");
     for words in [
         "PhySg: 6 training views of 24×24, 2 test views of 24×24",
         "files of 8 views",
-        "mesh and masks overlap to 0.9",
+        "masks overlap with the mesh to 0.9",
         "about",
     ] {
         assert!(text.contains(words), "no `{words}` in:\n{text}");
     }
     assert_eq!(outcome.stderr, "");
-    let shared = check_data(&data, &["--processes", "4"]).succeeded().stdout;
-    assert!(shared.contains("in each of 4 processes"), "{shared}");
     // Without --data it is the scene file alone that is looked at.
-    let without = check(&data, SCENE, &[]).succeeded().stdout;
+    let without = check(&data, &[]).succeeded().stdout;
     assert!(without.contains("below $DATA not looked for") && !without.contains("PhySg"), "{without}");
 }
 
 #[test]
-fn out_gets_a_contact_sheet_and_json() {
+fn out_gets_the_survey_as_json() {
     let data = Data::new();
-    let out = data.path("look");
-    check_data(&data, &["--out", out.to_str().unwrap()]).succeeded();
-    assert_eq!(files_below(&out), ["contact_sheet.png", "survey.json"]);
-    let sheet = image::open(out.join("contact_sheet.png")).unwrap();
-    assert!(sheet.width() > 400 && sheet.height() > 400);
-    let survey: Value = serde_json::from_slice(&std::fs::read(out.join("survey.json")).unwrap()).unwrap();
+    check(&data, &["--data", ".", "--out", "look"]).succeeded();
+    assert_eq!(files_below(&data.path("look")), ["survey.json"]);
+    let survey = data.json("look/survey.json");
     assert_eq!((survey["views"].as_array().unwrap().len(), &survey["layout"]), (8, &Value::from("PhySg")));
-    let outcome = check(&data, SCENE, &["--out", out.to_str().unwrap()]);
-    assert_eq!(outcome.code, Some(2));
-    assert!(outcome.stderr.contains("--out has nothing to show"), "{}", outcome.stderr);
+    check(&data, &["--out", "look"]).refused(&["--out has nothing to show"]);
 }
 
 #[test]
@@ -71,15 +62,11 @@ fn a_black_photograph_stops_check_and_run() {
     data.change_image("train/image/rgb_000003.exr", |layers| {
         layers.channels.values_mut().for_each(|channel| channel.fill(0.0));
     });
-    let outcome = check_data(&data, &[]);
-    assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
-    assert!(outcome.stdout.contains("scene.ron: 1 error"), "{}", outcome.stdout);
-    let run = data.run(SCENE, "out", &["--quiet"]);
-    assert_eq!(run.code, Some(2), "{}", run.stderr);
-    for stderr in [outcome.stderr, run.stderr] {
-        assert!(stderr.contains("black where the object is, in view `rgb_000003`"), "{stderr}");
-        assert!(stderr.contains("help: Replace it"), "{stderr}");
-    }
+    let words = ["black where the object is, in view `rgb_000003`", "help: Replace it"];
+    let looked = data.check(SCENE);
+    looked.refused(&words);
+    assert!(looked.stdout.contains("scene.ron: 1 error"), "{}", looked.stdout);
+    data.run(SCENE, "out", &["--quiet"]).refused(&words);
     assert!(files_below(&data.path("out")).is_empty(), "nothing is written before the data is looked at");
 }
 
@@ -88,27 +75,23 @@ fn a_mesh_in_millimeters_stops_a_run_and_a_warning_does_not() {
     let data = Data::new();
     let mesh = lobelia::mesh::primitive::sphere_mesh(glam::Vec3::ZERO, 800.0).unwrap();
     lobelia::codec::gltf::export::write_glb(&data.path("mesh.glb"), &mesh, None).unwrap();
-    let run = data.run(SCENE, "out", &["--quiet"]);
-    assert_eq!(run.code, Some(2), "{}", run.stderr);
-    assert!(run.stderr.contains("1000 times too large"), "{}", run.stderr);
+    data.run(SCENE, "out", &["--quiet"]).refused(&["1000 times too large"]);
     let data = Data::new();
-    let copy = |kind: &str, extension: &str| {
-        let path = |number: u32| data.path(&format!("train/{kind}/rgb_{number:06}.{extension}"));
-        std::fs::copy(path(0), path(1)).unwrap();
-    };
-    copy("image", "exr");
-    let outcome = check_data(&data, &[]).succeeded();
-    assert!(outcome.stdout.contains("scene.ron: 1 warning\n"), "{}", outcome.stdout);
-    assert!(outcome.stdout.contains("warning (duplicates): the same photograph"), "{}", outcome.stdout);
+    data.change_image("train/image/rgb_000001.exr", |layers| {
+        layers.channels.values_mut().flatten().for_each(|value| *value *= 4096.0);
+    });
+    let said = check(&data, &["--data", "."]).succeeded().stdout;
+    assert!(said.contains("scene.ron: 1 warning\n"), "{}", said);
+    assert!(said.contains("warning (exposure): the exposure differs"), "{}", said);
     let run = data.run(SCENE, "out", &[]).succeeded();
-    assert!(run.stderr.contains("note: the same photograph is there more than once"), "{}", run.stderr);
+    assert!(run.stderr.contains("note: the exposure differs from that of views"), "{}", run.stderr);
 }
 
 #[test]
 fn check_refuses_what_a_run_refuses_before_its_first_pass() {
     let data = Data::new();
-    std::fs::write(data.path("bad.npy"), "no numbers").unwrap();
-    std::fs::write(data.path("bad.glb"), "no mesh").unwrap();
+    data.write("bad.npy", "no numbers");
+    data.write("bad.glb", "no mesh");
     let with =
         |pass: &str| SCENE.replace("        Evaluate(", &format!("        {pass},\n        Evaluate("));
     let evaluate = "Evaluate(name: \"scores\", ";
@@ -129,21 +112,106 @@ fn check_refuses_what_a_run_refuses_before_its_first_pass() {
         (with(r#"Render(name: "one", render: (views: Named(["nope"])))"#), "there is no view nope"),
         (cameras.to_owned(), "bad.npy"),
     ] {
-        let looked = check(&data, &scene, &["--data", data.root().to_str().unwrap()]);
+        let looked = data.check(&scene);
         let run = data.run(&scene, "out", &["--quiet"]);
-        assert_eq!((looked.code, run.code), (Some(2), Some(2)), "{}", looked.stdout);
+        looked.refused(&[words]);
         assert!(looked.stdout.contains("scene.ron: 1 error"), "{}", looked.stdout);
-        assert!(looked.stderr.contains(words), "{}", looked.stderr);
-        assert_eq!(looked.stderr, run.stderr);
+        assert_eq!((looked.code, looked.stderr), (run.code, run.stderr));
     }
 }
 
 #[test]
 fn an_output_that_cannot_be_written_is_refused_before_photographs_are_read() {
     let data = Data::new();
-    let file = data.path("afile");
-    std::fs::write(&file, "").unwrap();
-    let outcome = check_data(&data, &["--out", file.to_str().unwrap()]);
-    assert_eq!((outcome.code, outcome.stdout.as_str()), (Some(2), ""), "{}", outcome.stderr);
-    assert!(outcome.stderr.contains("afile is a file"), "{}", outcome.stderr);
+    data.write("afile", "");
+    let outcome = check(&data, &["--data", ".", "--out", "afile"]);
+    outcome.refused(&["afile is a file"]);
+    assert_eq!(outcome.stdout, "");
+}
+
+/// Scenes that are tried.
+const TRIED: u64 = 32;
+
+/// Choices for each part of a scene: words that are right, and some that are not.
+const SURFACES: [&str; 6] = [
+    r#"Mesh(path: "$DATA/mesh.glb", texture_size: 16)"#,
+    "Sphere(radius: 0.8, texture_size: 16)",
+    "Box(size: (1, 1, 1), texture_size: 16)",
+    r#"Mesh(path: "$DATA/none.glb")"#,
+    r#"Mesh(path: "$DATA/evening.npy")"#,
+    "Sphere(radius: 9, texture_size: 16)",
+];
+const VIEWS: [&str; 5] = [
+    r#"Dataset(path: "$DATA")"#,
+    "Photographed(cameras: (count: 3, test: 1, size: 16), truth: (albedo: Constant(0.5, 0.3, 0.2), \
+     specular: (albedo: (0.2, 0.2, 0.2), roughness: 0.3), \
+     light: Lobes(lobes: [(axis: (0, 1, 0), sharpness: 3, amplitude: (1, 1, 1))])))",
+    r#"Dataset(path: "$DATA", downscale: 2)"#,
+    r#"Dataset(path: "$DATA", select: ["nope"])"#,
+    r#"Cameras([(name: "rgb_000000", eye: (0, 0, 3), width: 16, height: 16, split: Test)])"#,
+];
+const LIGHTS: [&str; 4] = [
+    "Unknown(lobes: 4)",
+    r#"Fixed(Npy(path: "$DATA/evening.npy"))"#,
+    r#"Fixed(Npy(path: "$DATA/mesh.glb"))"#,
+    r#"Initial(Map(path: "$DATA/mesh.glb"))"#,
+];
+const PASSES: [&str; 12] = [
+    r#"Fit(name: "more", steps: 2, batch: 64)"#,
+    r#"Edit(name: "edit", edits: [Roughness(action: Set(0.2))])"#,
+    r#"Relight(name: "relit", light: Npy(path: "$DATA/evening.npy"))"#,
+    r#"Evaluate(scores: [(pass: "novel", truth: Photographs)])"#,
+    "Save()",
+    "Export(formats: [Glb, Usda])",
+    r#"Evaluate(name: "meshes", mesh: "$DATA/mesh.glb")"#,
+    r#"Render(name: "named", render: (views: Named(["rgb_000000"])))"#,
+    r#"Render(name: "wrong", render: (views: Named(["nope"])))"#,
+    r#"Edit(name: "edit", edits: [Diffuse(action: Texture("$DATA/mesh.glb"))])"#,
+    r#"Evaluate(name: "folder", scores: [(pass: "novel", truth: Folder("$DATA/test/gt"))])"#,
+    r#"Evaluate(name: "relit_scores", scores: [(pass: "relit", truth: Folder("$DATA/test/gt/relit"))])"#,
+];
+
+/// A scene of random words; most of them are right.
+fn random_scene(seed: u64) -> String {
+    let mut random = SmallRng::seed_from_u64(seed);
+    let mut pick = |words: &[&'static str]| {
+        // The first are right: they are taken more often.
+        let most = if random.random_range(0..5) == 0 { words.len() } else { words.len().div_ceil(2) };
+        words[random.random_range(0..most)]
+    };
+    let (surface, views, light) = (pick(&SURFACES), pick(&VIEWS), pick(&LIGHTS));
+    let mut passes: Vec<&str> = vec![r#"Fit(name: "fit", steps: 2, batch: 64)"#, r#"Render(name: "novel")"#];
+    passes.extend((0..2).map(|_| pick(&PASSES)));
+    passes.dedup();
+    let passes = passes.join(",\n        ");
+    format!(
+        "Scene(\n    version: 1,\n    surface: {surface},\n    views: {views},\n    light: {light},\n    visibility: None,\n    passes: [\n        \
+         {passes},\n    ],\n)\n"
+    )
+}
+
+/// The message without its drawing.
+fn message(outcome: &Outcome) -> String {
+    let line = outcome.stderr.lines().find(|line| line.starts_with("error")).unwrap_or_default();
+    line.to_owned()
+}
+
+#[test]
+fn what_check_takes_runs_and_what_it_refuses_does_not() {
+    let data = Data::new();
+    let mut taken = 0;
+    for seed in 0..TRIED {
+        let (text, out) = (random_scene(seed), format!("out-{seed}"));
+        let check = data.check(&text);
+        let run = data.run(&text, &out, &["--quiet"]);
+        assert!(!run.stderr.contains("panicked") && !check.stderr.contains("panicked"), "{text}");
+        assert_eq!(check.code, run.code, "seed {seed}\n{text}\ncheck: {}\nrun: {}", check.stderr, run.stderr);
+        if run.code == Some(0) {
+            taken += 1;
+        } else {
+            assert_eq!(message(&check), message(&run), "{text}");
+            assert!(files_below(&data.path(&out)).is_empty(), "{text}");
+        }
+    }
+    assert!(taken > 4 && taken < TRIED - 4, "{taken} of {TRIED} scenes are taken");
 }

@@ -1,11 +1,12 @@
 //! Environment lights from end to end: `lobelia env`, and maps that light the side of a sphere they should.
 
-use crate::common::{Outcome, command, files_below, write_unchecked};
+use crate::common::{Data, Outcome, command, files_below, write_unchecked};
 use glam::Vec3;
-use lobelia::codec::exr::{ExrLayers, read_exr_layers};
+use lobelia::codec::envmap::write_map_exr;
+use lobelia::codec::exr::ExrLayers;
 use lobelia::light::convention::MapConvention;
 use lobelia::light::{EnvironmentMap, LightLobe, lobes_power, render_lobes};
-use lobelia::spawn::light_file::{LightConventions, LightFile, read_light};
+use lobelia::spawn::light::{LightConventions, LightFile, read_light};
 use std::path::{Path, PathBuf};
 
 fn lobes() -> Vec<LightLobe> {
@@ -17,22 +18,22 @@ fn lobes() -> Vec<LightLobe> {
     ]
 }
 
-struct Folder(tempfile::TempDir);
+struct Folder(Data);
 
 impl Folder {
     /// A folder with `sky.exr`, a small map of [`lobes`].
     fn new() -> Self {
-        let folder = Self(tempfile::tempdir().unwrap());
-        render_lobes(&lobes(), 64, 32).write_exr(folder.path("sky.exr")).unwrap();
+        let folder = Self(Data::bare());
+        write_map_exr(&render_lobes(&lobes(), 64, 32), folder.path("sky.exr")).unwrap();
         folder
     }
 
     fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
+        self.0.path(name)
     }
 
     fn env(&self, arguments: &[&str]) -> Outcome {
-        Outcome::of(command(&["env"]).args(arguments).current_dir(self.0.path()))
+        Outcome::of(command(&["env"]).args(arguments).current_dir(self.0.root()))
     }
 
     fn light(&self, name: &str) -> LightFile {
@@ -46,17 +47,12 @@ impl Folder {
         }
     }
 
-    /// Expects exit code 2, one error that has all `words`, and no new file.
+    /// Expects one error that has all `words`, and no new file.
     #[track_caller]
     fn refused(&self, arguments: &[&str], words: &[&str]) {
-        let before = files_below(self.0.path());
-        let outcome = self.env(arguments);
-        assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
-        assert_eq!(outcome.stderr.matches("error:").count(), 1, "{}", outcome.stderr);
-        for word in words {
-            assert!(outcome.stderr.contains(word), "{} should say {word}", outcome.stderr);
-        }
-        assert_eq!(files_below(self.0.path()), before);
+        let before = files_below(self.0.root());
+        self.env(arguments).refused(words);
+        assert_eq!(files_below(self.0.root()), before);
     }
 }
 
@@ -168,18 +164,12 @@ fn write_map(path: &Path, map: &EnvironmentMap) {
 fn bad_maps_are_refused_with_one_message() {
     let folder = Folder::new();
     let flat = |w: u32, h: u32, value: f32| EnvironmentMap::from_directions(w, h, |_| Vec3::splat(value));
-    let bad: [(&str, EnvironmentMap, &str); 4] = [
-        ("square.exr", flat(16, 16, 1.0), "16 × 16"),
-        ("pixel.exr", flat(1, 1, 1.0), "1 × 1"),
-        ("black.exr", flat(16, 8, 0.0), "black"),
-        ("nan.exr", flat(16, 8, f32::NAN), "every texel"),
-    ];
-    for (name, map, word) in bad {
+    for (name, map, word) in
+        [("square.exr", flat(16, 16, 1.0), "16 × 16"), ("black.exr", flat(16, 8, 0.0), "black")]
+    {
         write_map(&folder.path(name), &map);
         folder.refused(&["fit", name, "--out", "a.ron"], &[name, word, "help:"]);
     }
-    std::fs::write(folder.path("text.exr"), "sky").unwrap();
-    folder.refused(&["info", "text.exr"], &["neither"]);
     folder.refused(&["info", "none.exr"], &["no such file"]);
     let mut repaired = flat(16, 8, 1.0);
     repaired.radiance[3].x = f32::INFINITY;
@@ -187,64 +177,6 @@ fn bad_maps_are_refused_with_one_message() {
     write_map(&folder.path("repaired.exr"), &repaired);
     let said = folder.env(&["fit", "repaired.exr", "--lobes", "2"]).succeeded().stderr;
     assert!(said.contains("1 NaN or infinite") && said.contains("1 negative"), "{said}");
-}
-
-/// A flat Radiance picture of one gray, `width` × `height`, in runs: a gigantic map in a small file.
-fn write_gigantic(path: &Path, width: usize, height: usize) {
-    let mut scanline = vec![2, 2, (width >> 8) as u8, width as u8];
-    for byte in [128, 128, 128, 129] {
-        (0..width / 100).for_each(|_| scanline.extend([128 + 100, byte]));
-        if !width.is_multiple_of(100) {
-            scanline.extend([128 + (width % 100) as u8, byte]);
-        }
-    }
-    let mut bytes = format!("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n").into_bytes();
-    (0..height).for_each(|_| bytes.extend(&scanline));
-    std::fs::write(path, bytes).unwrap();
-}
-
-#[test]
-fn a_gigantic_map_is_averaged_down_as_it_is_read() {
-    let folder = Folder::new();
-    write_gigantic(&folder.path("big.hdr"), 16_384, 8_192);
-    let said = folder.env(&["info", "big.hdr"]).succeeded();
-    assert!(said.stdout.contains("2048 × 1024"), "{}", said.stdout);
-    assert!(said.stdout.contains("1.0000"), "{}", said.stdout);
-    assert!(said.stderr.contains("16384 × 8192"), "{}", said.stderr);
-}
-
-/// A sphere seen from +Z with +X to the right, lit by a map with one bright texel; which of the picture's quarters (left,
-/// right, top, bottom) and its center is brightest.
-fn brightest_part(
-    folder: &Folder,
-    texel: (u32, u32),
-    convention: MapConvention,
-    shading: &str,
-) -> &'static str {
-    let mut map = EnvironmentMap::from_directions(32, 16, |_| Vec3::splat(0.01));
-    let (i, j) = texel;
-    // At a pole a row is one place.
-    let columns = if j == 0 || j == 15 { 0..32 } else { i..i + 1 };
-    columns.for_each(|i| map.radiance[(j * 32 + i) as usize] = Vec3::splat(40.0));
-    map.write_exr(folder.path("spot.exr")).unwrap();
-    let scene = format!(
-        r#"Scene(
-    version: 1,
-    surface: Sphere(radius: 0.9, texture_size: 8),
-    views: Cameras([(name: "front", eye: (0, 0, 6), fov_degrees: 20, width: 33, height: 33)]),
-    light: Fixed(Map(path: "spot.exr", lobes: 4, convention: {convention:?})),
-    material: (albedo: Fixed(Constant(0.8, 0.8, 0.8)), specular: (albedo: Fixed(0, 0, 0), roughness: Fixed(1))),
-    passes: [Render(name: "lit", render: (shading: {shading}))],
-)"#
-    );
-    std::fs::write(folder.path("scene.ron"), scene).unwrap();
-    let run = ["run", "scene.ron", "--out", "out", "--force", "--quiet"];
-    Outcome::of(command(&run).current_dir(folder.0.path())).succeeded();
-    let layers = read_exr_layers(folder.path("out/lit/front.exr")).unwrap();
-    let red = &layers.channels["R"];
-    let places = [("left", 5, 16), ("right", 27, 16), ("top", 16, 5), ("bottom", 16, 27), ("center", 16, 16)];
-    let at = |&(_, x, y): &(&str, usize, usize)| red[y * 33 + x];
-    places.iter().max_by(|a, b| at(a).total_cmp(&at(b))).unwrap().0
 }
 
 #[test]
@@ -266,10 +198,39 @@ fn one_bright_texel_lights_the_right_side_of_a_sphere() {
         (Blender, (24, 8), "bottom"),
         (Blender, (5, 0), "center"),
     ];
-    for (convention, texel, side) in cases {
-        for shading in ["Published", "PathTraced(spp: 32)"] {
-            let found = brightest_part(&folder, texel, convention, shading);
-            assert_eq!(found, side, "{convention:?} {texel:?} {shading}");
+    let shadings = ["Published", "PathTraced(spp: 32)"];
+    let mut passes = String::new();
+    for (case, (convention, (i, j), _)) in cases.iter().enumerate() {
+        let mut map = EnvironmentMap::from_directions(32, 16, |_| Vec3::splat(0.01));
+        // At a pole a row is one place.
+        let columns = if [0, 15].contains(j) { 0..32 } else { *i..i + 1 };
+        columns.for_each(|i| map.radiance[j * 32 + i] = Vec3::splat(40.0));
+        write_map_exr(&map, folder.path(&format!("spot{case}.exr"))).unwrap();
+        let light = format!(r#"Map(path: "spot{case}.exr", lobes: 4, convention: {convention:?})"#);
+        for (k, shading) in shadings.iter().enumerate() {
+            passes +=
+                &format!(r#"Relight(name: "lit{case}_{k}", light: {light}, render: (shading: {shading})), "#);
+        }
+    }
+    // Seen from +Z with +X to the right.
+    let scene = format!(
+        r#"Scene(
+    version: 1,
+    surface: Sphere(radius: 0.9, texture_size: 8),
+    views: Cameras([(name: "front", eye: (0, 0, 6), fov_degrees: 20, width: 33, height: 33)]),
+    light: Fixed(Map(path: "spot0.exr", lobes: 4)),
+    material: (albedo: Fixed(Constant(0.8, 0.8, 0.8)), specular: (albedo: Fixed(0, 0, 0), roughness: Fixed(1))),
+    passes: [{passes}],
+)"#
+    );
+    folder.0.run(&scene, "out", &["--quiet"]).succeeded();
+    let places = [("left", 5, 16), ("right", 27, 16), ("top", 16, 5), ("bottom", 16, 27), ("center", 16, 16)];
+    for (case, (convention, texel, side)) in cases.iter().enumerate() {
+        for (k, shading) in shadings.iter().enumerate() {
+            let red = &folder.0.exr(format!("out/lit{case}_{k}/front.exr")).channels["R"];
+            let at = |&(_, x, y): &(&str, usize, usize)| red[y * 33 + x];
+            let found = places.iter().max_by(|a, b| at(a).total_cmp(&at(b))).unwrap().0;
+            assert_eq!(found, *side, "{convention:?} {texel:?} {shading}");
         }
     }
 }

@@ -1,9 +1,14 @@
-//! What `Export` writes is the object: read back, it gives the same picture.
+//! Exported files hold the object: read back, they give the same picture. `Save` and `Export` write it as an `Edit` or `Relight` pass
+//! shows it, if asked to.
 
 use crate::common::{Data, files_below, write_image};
 use glam::Vec3;
+use lobelia::codec::envmap::read_map;
 use lobelia::codec::exr::ExrLayers;
 use lobelia::codec::exr_frame::{read_frame, write_channels};
+use lobelia::codec::gltf::material::read_material;
+use lobelia::light::convention::MapConvention;
+use lobelia::material::SpecularLobe;
 use serde_json::Value;
 
 /// A box with a painted texture; `{SURFACE}`, `{MATERIAL}` and `{PASSES}` are filled in.
@@ -46,7 +51,7 @@ fn studio() -> Data {
 fn psnr(data: &Data, a: &str, b: &str) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for view in ["a", "b"] {
-        let [a, b] = [a, b].map(|out| read_frame(data.path(&format!("{out}/novel/{view}.exr"))).unwrap());
+        let [a, b] = [a, b].map(|out| read_frame(data.path(format!("{out}/novel/{view}.exr"))).unwrap());
         for i in (0..a.color.len()).filter(|&i| a.alpha[i] > 0.0) {
             let difference = a.color[i].min(Vec3::ONE) - b.color[i].min(Vec3::ONE);
             sum += f64::from(difference.length_squared());
@@ -71,25 +76,15 @@ fn an_exported_mesh_read_back_gives_the_same_picture() {
 #[test]
 fn a_tenth_of_the_triangles_looks_nearly_the_same() {
     let data = studio();
-    let passes = r#"Export(name: "export", formats: [Glb, Ply, Obj], triangles: 3600),
+    let passes = r#"Export(name: "export", formats: [Glb], triangles: 3600),
         Evaluate(mesh: "mesh.glb")"#;
     let sphere = "Sphere(texture_size: 128)";
     data.run(&scene(sphere, PAINTED, passes), "out", &["--quiet"]).succeeded();
-    let files = [
-        "light.hdr",
-        "light_blender.hdr",
-        "mesh.glb",
-        "mesh.mtl",
-        "mesh.obj",
-        "mesh.ply",
-        "mesh_albedo.png",
-        "model-viewer.html",
-    ];
+    let files = ["light.hdr", "light_blender.hdr", "mesh.glb", "model-viewer.html"];
     assert_eq!(files_below(&data.path("out/export")), files);
-    let glb = std::fs::read(data.path("out/export/mesh.glb")).unwrap();
+    let glb = data.bytes("out/export/mesh.glb");
     assert!(glb.windows(15).any(|part| part == b"\"normalTexture\""));
-    let metrics: Value =
-        serde_json::from_slice(&std::fs::read(data.path("out/metrics.json")).unwrap()).unwrap();
+    let metrics = data.metrics("out");
     assert!(metrics["chamfer"].as_f64().unwrap() < 1e-6, "{metrics}");
     let surface = r#"Mesh(path: "out/export/mesh.glb", texture_size: 128, own_material: true)"#;
     let again = scene(surface, "", r#"Evaluate(mesh: "mesh.glb")"#);
@@ -103,14 +98,8 @@ fn a_tenth_of_the_triangles_looks_nearly_the_same() {
 fn a_mesh_without_its_material_is_refused() {
     let data = studio();
     let surface = r#"Mesh(path: "mesh.glb", texture_size: 64, own_material: true)"#;
-    let outcome = data.run(&scene(surface, "", ""), "out", &[]);
-    assert!(outcome.code == Some(2) && outcome.stderr.contains("same material"), "{}", outcome.stderr);
-    let outcome = data.run(&scene(surface, PAINTED, ""), "out", &[]);
-    assert!(
-        outcome.code == Some(2) && outcome.stderr.contains("own material is taken"),
-        "{}",
-        outcome.stderr
-    );
+    data.run(&scene(surface, "", ""), "out", &[]).refused(&["same material"]);
+    data.run(&scene(surface, PAINTED, ""), "out", &[]).refused(&["own material is taken"]);
 }
 
 #[test]
@@ -155,14 +144,14 @@ fn usd_files_name_their_textures_and_the_light() {
     let passes = r#"Export(name: "export", formats: [Glb, Usda, Usdz])"#;
     data.run(&scene("Box(texture_size: 64)", blend, passes), "out", &["--quiet"]).succeeded();
     let textures = ["mesh_base_color.png", "mesh_reflectance.png", "mesh_roughness.png"];
-    let text = std::fs::read_to_string(data.path("out/export/mesh.usda")).unwrap();
+    let text = data.text("out/export/mesh.usda");
     for name in textures {
-        let size = image::image_dimensions(data.path(&format!("out/export/{name}"))).unwrap();
+        let size = image::image_dimensions(data.path(format!("out/export/{name}"))).unwrap();
         assert!(size == (64, 64) && text.contains(&format!("@{name}@")), "{name} {size:?}");
     }
     assert!(text.contains("@light.hdr@") && text.contains("upAxis = \"Y\""));
     assert!(data.path("out/export/mesh.usdz").exists());
-    let glb = std::fs::read(data.path("out/export/mesh.glb")).unwrap();
+    let glb = data.bytes("out/export/mesh.glb");
     let length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
     let root: Value = serde_json::from_slice(&glb[20..20 + length]).unwrap();
     let material = &root["materials"][0];
@@ -170,4 +159,68 @@ fn usd_files_name_their_textures_and_the_light() {
     assert_eq!(root["images"].as_array().unwrap().len(), 3);
     assert_eq!(specular["specularTexture"], specular["specularColorTexture"]);
     assert_eq!(material["pbrMetallicRoughness"]["roughnessFactor"], 1.0);
+}
+
+// As a pass shows it.
+
+const SHOWN: &str = r#"
+Scene(
+    version: 1,
+    surface: Mesh(path: "$DATA/mesh.glb", texture_size: 32),
+    views: Dataset(path: "$DATA"),
+    light: Fixed(Npy(path: "$DATA/evening.npy")),
+    material: (
+        albedo: Fixed(Constant(0.5, 0.4, 0.3)),
+        specular: (albedo: Fixed(0.2, 0.2, 0.2), roughness: Fixed(0.4)),
+    ),
+    visibility: None,
+    passes: [
+        Render(name: "novel"),
+        Edit(name: "painted", edits: [
+            Diffuse(action: Set(0.1, 0.6, 0.2), region: Box(min: (-2, 0, -2), max: (2, 2, 2))),
+            Roughness(action: Scale(0.5), region: Sphere(center: (0, 0, 0.8), radius: 0.7)),
+        ]),
+        Relight(name: "noon", light: Lobes(lobes: [(axis: (0, 1, 0), sharpness: 2, amplitude: (1, 1, 1))]), edits: [
+            Specular(action: Set(0.9, 0.6, 0.3)),
+        ]),
+        Save(name: "saved"),
+        Save(name: "saved_painted", of: "painted"),
+        Save(name: "saved_noon", of: "noon"),
+        Export(name: "export_noon", of: "noon"),
+        Export(name: "export_painted", of: "painted"),
+    ],
+)
+"#;
+
+#[test]
+fn what_a_pass_shows_is_saved_and_opens_again_with_the_same_bits() {
+    let data = Data::new();
+    data.run(SHOWN, "out", &[]).succeeded();
+    for (saved, shown) in [("saved", "novel"), ("saved_painted", "painted"), ("saved_noon", "noon")] {
+        let again = format!("{saved}_again");
+        data.run_file(&format!("out/{saved}/scene.ron"), &again, &[]).succeeded();
+        data.same_pictures(&format!("out/{shown}"), &format!("{again}/novel"));
+    }
+    let read = |name: &str| read_material(&data.path(format!("out/{name}/mesh.glb")));
+    let noon = read("export_noon").unwrap();
+    let noon = noon.specular_albedo(&SpecularLobe::new(Vec3::ONE, noon.roughness));
+    assert!((noon - Vec3::new(0.9, 0.6, 0.3)).abs().max_element() < 0.02, "{noon}");
+    // The light of that pass lies beside it: brightest above, where it is white.
+    let map = data.path("out/export_noon/light.hdr");
+    let map = MapConvention::ThreeJs.to_lobelia(read_map(map).unwrap());
+    let (up, down) = (map.sample_bilinear(Vec3::Y), map.sample_bilinear(Vec3::NEG_Y));
+    assert!((up - Vec3::ONE).length() < 0.02 && down.max_element() < 0.03, "{up} {down}");
+    // Two base materials are a texture of roughness, which is written and not read back.
+    let painted = read("export_painted").map(|_| ()).unwrap_err().to_string();
+    assert!(painted.contains("has a roughness texture"), "{painted}");
+}
+
+#[test]
+fn a_pass_that_shows_nothing_else_is_refused() {
+    let data = Data::new();
+    for (of, near) in [("novel", "painted, noon"), ("painter", "painted")] {
+        let scene = SHOWN.replacen(r#"of: "noon""#, &format!("of: {of:?}"), 1);
+        data.run(&scene, "out", &[]).refused(&[of, near]);
+        assert!(!data.path("out").exists());
+    }
 }

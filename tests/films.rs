@@ -1,25 +1,27 @@
-//! Films: what changes over their frames, and what they are written as.
+//! Films: what changes over their frames, and what they are written as; pictures in bands, which have the bits of whole ones.
 
-use crate::common::{Data, Outcome, command, files_below};
+use crate::common::{DISTANCE, Data, GRAY_SPHERE, Outcome, command, day, files_below, is_temporary, studio};
 use image::RgbImage;
+use lobelia::codec::exr_frame::{write_frame, write_frame_rows};
+use lobelia::prelude::*;
+use lobelia::report::tone::{Backdrop, Picture, write_png_rows};
+use lobelia::shade::frame::{band_rows, frame_bytes, render_bands};
 use std::path::Path;
 
-/// A gray sphere under a lamp at the side; `{ORBIT}` is filled in.
-const SCENE: &str = r#"Scene(
-    version: 1,
-    surface: Sphere(texture_size: 16),
-    views: Cameras([(name: "a", eye: (0, 0, 3), width: 16, height: 16)]),
-    light: Fixed(Lobes(lobes: [(axis: (1, 0.2, 0.5), sharpness: 4, amplitude: (1, 1, 1))])),
-    material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0.1, 0.1, 0.1), roughness: Fixed(0.3))),
-    passes: [Render(name: "film", render: (views: Named([]), orbit: (frames: 4, size: 48, format: Frames, {ORBIT})))],
-)"#;
+/// The film; `{ORBIT}` is filled in.
+const FILM: &str =
+    r#"Render(name: "film", render: (views: Named([]), orbit: (frames: 4, size: 48, {ORBIT})))"#;
+
+fn scene(orbit: &str) -> String {
+    GRAY_SPHERE.replace("{PASS}", FILM).replace("{ORBIT}", orbit)
+}
 
 /// Runs the scene, where no other program can be found.
 fn run(data: &Data, orbit: &str, out: &str) -> Outcome {
-    let scene = data.path("scene.ron");
-    std::fs::write(&scene, SCENE.replace("{ORBIT}", orbit)).unwrap();
+    let file = data.path("scene.ron");
+    std::fs::write(&file, scene(orbit)).unwrap();
     let mut program = command(&["run", "--quiet"]);
-    Outcome::of(program.arg(&scene).arg("--out").arg(data.path(out)).env("PATH", ""))
+    Outcome::of(program.arg(&file).arg("--out").arg(data.path(out)).env("PATH", ""))
 }
 
 fn frames(folder: &Path) -> Vec<RgbImage> {
@@ -38,7 +40,7 @@ fn the_light_may_go_with_the_camera_and_the_frames_stay() {
     let data = Data::new();
     run(&data, "", "still").succeeded();
     let files = files_below(&data.path("still/film"));
-    let expected = ["orbit.mp4", "orbit_frames/000000.png", "orbit_frames/000003.png"];
+    let expected = ["orbit.gif", "orbit_frames/000000.png", "orbit_frames/000003.png"];
     assert!(
         files.len() == 5 && expected.iter().all(|name| files.iter().any(|file| file == name)),
         "{files:?}"
@@ -52,38 +54,6 @@ fn the_light_may_go_with_the_camera_and_the_frames_stay() {
         let found = difference(&turned[0], frame);
         assert!(found < 1.0, "a sphere looks alike from all sides if the light comes along: {found}");
     }
-}
-
-/// Root mean square difference of two frames, in steps of 8 bits.
-fn deviation(a: &RgbImage, b: &RgbImage) -> f64 {
-    let square = |(a, b): (&u8, &u8)| f64::from(a.abs_diff(*b)).powi(2);
-    (a.as_raw().iter().zip(b.as_raw()).map(square).sum::<f64>() / a.as_raw().len() as f64).sqrt()
-}
-
-#[test]
-fn denoised_films_are_closer_to_converged_ones_and_say_what_they_are() {
-    let data = Data::new();
-    let filmed = |shading: &str, out: &str| {
-        let scene = data.path("scene.ron");
-        let text = SCENE.replace("{ORBIT}", "").replace("Named([])", "All");
-        std::fs::write(&scene, text.replace("orbit:", &format!("shading: PathTraced({shading}), orbit:")))
-            .unwrap();
-        Outcome::of(command(&["run", "--quiet"]).arg(&scene).arg("--out").arg(data.path(out))).succeeded();
-        frames(&data.path(&format!("{out}/film")))
-    };
-    let converged = filmed("spp: 1024", "converged");
-    let noisy = filmed("spp: 8", "noisy");
-    let denoised = filmed("spp: 8, denoise: true", "denoised");
-    for ((converged, noisy), denoised) in converged.iter().zip(&noisy).zip(&denoised) {
-        let (before, after) = (deviation(noisy, converged), deviation(denoised, converged));
-        assert!(after < 0.7 * before, "{before} became {after}");
-    }
-    let says = |file: &str, word: &[u8]| {
-        std::fs::read(data.path(file)).unwrap().windows(word.len()).any(|bytes| bytes == word)
-    };
-    assert!(says("denoised/film/a.exr", b"Denoised: ") && !says("noisy/film/a.exr", b"Denoised: "));
-    assert!(says("denoised/run.json", b"4 film frames, denoised") && !says("noisy/run.json", b", denoised"));
-    assert_eq!(filmed("spp: 8, denoise: true", "again"), denoised, "the same bits");
 }
 
 #[test]
@@ -129,23 +99,33 @@ fn pictures_may_be_wide_or_high() {
 }
 
 #[test]
-fn a_video_has_the_frames_of_its_format() {
+fn without_ffmpeg_a_film_is_a_gif_and_a_note_says_so() {
     let data = Data::new();
-    run(&data, "", "frames").succeeded();
-    let only = |text: &str| SCENE.replace("format: Frames, {ORBIT}", text);
-    let scene = data.path("other.ron");
-    let written = |format: &str, out: &str| {
-        std::fs::write(&scene, only(format)).unwrap();
-        let mut program = command(&["run", "--quiet"]);
-        Outcome::of(program.arg(&scene).arg("--out").arg(data.path(out)).env("PATH", "")).succeeded();
-        files_below(&data.path(out).join("film"))
-    };
-    assert_eq!(written("format: Mp4", "video"), ["orbit.mp4"]);
-    assert_eq!(written("format: Apng", "apng"), ["orbit.mp4", "orbit.png"]);
-    let video = |out: &str| std::fs::read(data.path(out).join("film/orbit.mp4")).unwrap();
-    assert!(video("video") == video("frames") && video("video") == video("apng"));
-    let has = |name: &[u8]| video("video").windows(4).any(|bytes| bytes == name);
-    assert!(has(b"avc1") && has(b"moov") && has(b"mdat"));
+    run(&data, "", "out").succeeded();
+    let record = data.text("out/run.json");
+    assert!(record.contains("with `ffmpeg` on the PATH"), "{record}");
+    assert!(data.path("out/film/orbit.gif").exists());
+}
+
+/// A film begins in front, where this view's camera is.
+#[test]
+fn frames_are_pictures_of_views_and_no_other_file_is_left() {
+    let data = Data::new();
+    let scene = scene("radius: 3, elevation_degrees: 0")
+        .replace("Named([])", "All, backdrop: true")
+        .replace("width: 16, height: 16", "fov_degrees: 38, width: 48, height: 48");
+    data.run(&scene, "out", &["--quiet"]).succeeded();
+    let still = image::open(data.path("out/film/a.png")).unwrap().into_rgb8();
+    let found = difference(&frames(&data.path("out/film"))[0], &still);
+    assert!(found < 0.5, "{found}");
+    assert!(!files_below(&data.path("out")).iter().any(|file| is_temporary(file)));
+}
+
+#[test]
+fn words_of_formats_and_filters_say_what_to_do_instead() {
+    let data = Data::new();
+    run(&data, "format: Mp4", "out").refused(&["PNG files in orbit_frames/"]);
+    run(&data, "), shading: PathTraced(spp: 8, denoise: true", "out").refused(&["OIDN"]);
 }
 
 #[test]
@@ -157,7 +137,121 @@ fn keys_that_make_no_sense_are_shown() {
         ("light: (axis: (0, 0, 0))", "direction"),
         ("material: (albedo: (1, -1))", "not below 0"),
     ] {
-        let outcome = run(&data, orbit, "out");
-        assert!(outcome.code == Some(2) && outcome.stderr.contains(word), "{word}: {}", outcome.stderr);
+        run(&data, orbit, "out").refused(&[word]);
     }
+}
+
+// Bands.
+
+fn view(width: u32, height: u32) -> Camera {
+    let eye = Vec3::new(0.5, 0.3, 0.8).normalize() * DISTANCE;
+    Camera::look_at(eye, Vec3::ZERO, Vec3::Y, 38.0, width, height).unwrap()
+}
+
+/// The bands of a picture, put together.
+fn in_bands(pipeline: &mut Pipeline, camera: Camera, samples: u32, rows: u32) -> Frame {
+    let mut whole = Frame { width: camera.width as usize, ..Frame::default() };
+    render_bands(pipeline, camera, samples, rows, &mut |_, first, band| {
+        assert_eq!((band.width, first as usize), (whole.width, whole.height), "bands come from the top");
+        whole.height += band.height;
+        whole.color.extend(&band.color);
+        whole.alpha.extend(&band.alpha);
+        whole.diffuse.extend(&band.diffuse);
+        whole.specular.extend(&band.specular);
+        whole.albedo.extend(&band.albedo);
+        whole.normal.extend(&band.normal);
+        whole.depth.extend(&band.depth);
+        Ok(())
+    })
+    .unwrap();
+    whole
+}
+
+fn traced(pipeline: &mut Pipeline, samples_per_pixel: u32) {
+    let paths = PathTracing { paths_per_sample: 1, max_bounces: 2, seed: 5, samples_per_pixel };
+    pipeline.swap(Phase::Frame, Slot::Shading, shade_path_traced(paths));
+}
+
+#[test]
+fn bands_have_the_bits_of_the_whole_picture() {
+    let mut pipeline = studio(&day());
+    let camera = view(19, 23);
+    for path_traced in [false, true] {
+        for samples in [1, 4, 9] {
+            if path_traced {
+                traced(&mut pipeline, samples);
+            }
+            let whole = resolve(&render_frame(&mut pipeline, camera, samples).unwrap());
+            assert!(whole.alpha.contains(&1.0) && whole.specular.iter().any(|color| color.x > 0.0));
+            for rows in [1, 3, 7, 23, 100] {
+                let bands = in_bands(&mut pipeline, camera, samples, rows);
+                assert!(bands == whole, "traced {path_traced}, {samples} samples, {rows} rows");
+            }
+        }
+    }
+}
+
+/// A tile has 2¹⁶ samples; here tiles end within rows, and within the samples of a pixel.
+#[test]
+fn bands_have_the_bits_of_the_whole_picture_across_tiles() {
+    let mut pipeline = studio(&day());
+    let camera = view(97, 90);
+    let whole = resolve(&render_frame(&mut pipeline, camera, 9).unwrap());
+    assert!(in_bands(&mut pipeline, camera, 9, 7) == whole, "closed form");
+    traced(&mut pipeline, 9);
+    let whole = resolve(&render_frame(&mut pipeline, camera, 9).unwrap());
+    assert!(in_bands(&mut pipeline, camera, 9, 7) == whole, "path traced");
+}
+
+#[test]
+fn files_of_bands_have_the_bytes_of_files_of_the_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let (mut pipeline, camera, look) = (studio(&day()), view(19, 23), Look::default());
+    let whole = resolve(&render_frame(&mut pipeline, camera, 4).unwrap());
+    write_frame(path("whole.exr"), &whole).unwrap();
+    save_png(path("whole.png"), &whole, &look).unwrap();
+    for rows in [1, 3, 7] {
+        write_frame_rows(path("bands.exr"), [19, 23], |layers| {
+            write_png_rows(path("bands.png"), [19, 23], true, |colors| {
+                render_bands(&mut pipeline, camera, 4, rows, &mut |_, _, band| {
+                    layers.push(band)?;
+                    colors.push(&Picture::of(band).samples8(&look, Backdrop::Transparent)?)
+                })
+            })
+        })
+        .unwrap();
+        for kind in ["exr", "png"] {
+            let [bands, whole] =
+                ["bands", "whole"].map(|name| std::fs::read(path(name).with_extension(kind)));
+            assert!(bands.unwrap() == whole.unwrap(), "{kind} of {rows} rows");
+        }
+    }
+}
+
+#[test]
+fn a_picture_that_is_stopped_amid_its_bands_leaves_no_file_and_the_next_is_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pipeline = studio(&day());
+    let mut taken = 0;
+    let stopped: Result<()> = write_frame_rows(folder.path().join("view.exr"), [19, 23], |layers| {
+        render_bands(&mut pipeline, view(19, 23), 1, 7, &mut |_, _, band| {
+            taken += 1;
+            if taken == 3 { Err(Error::Interrupted) } else { layers.push(band) }
+        })
+    });
+    assert!(matches!(stopped, Err(Error::Interrupted)));
+    assert_eq!(taken, 3);
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    let again = in_bands(&mut pipeline, view(19, 23), 1, 23);
+    assert!(again == in_bands(&mut studio(&day()), view(19, 23), 1, 23));
+}
+
+#[test]
+fn memory_of_a_picture_does_not_grow_with_its_height() {
+    assert_eq!([[16_384, 16_384], [800, 800], [5, 7]].map(band_rows), [32, 640, 7]);
+    let bytes = |width, height| frame_bytes([width, height]);
+    assert_eq!(bytes(16_384, 16_384), bytes(16_384, 100));
+    assert!(bytes(16_384, 16_384) < 1 << 29, "{}", bytes(16_384, 16_384));
+    assert!(bytes(64, 64) < bytes(800, 800));
 }

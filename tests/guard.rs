@@ -1,7 +1,6 @@
 //! Steps of a fit that are not finite: traced, taken back, and without any trace in what is found.
 
-use crate::common::{RADIUS, camera, day, shoot, studio};
-use lobelia::error::Result;
+use crate::common::{RADIUS, camera, day, photograph, studio};
 use lobelia::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns};
 use lobelia::fit::components::{
     AlbedoGradient, AlbedoMoments, LobeMoments, SpecularMoments, StepRates, Unknowns,
@@ -10,27 +9,21 @@ use lobelia::fit::exposure::{ExposureChoice, Exposures};
 use lobelia::fit::guard::{StepGuard, check_adjoints};
 use lobelia::fit::scale::ScaleMoments;
 use lobelia::fit::sheen::{SheenGradient, SheenMoments};
-use lobelia::math::shading::{Layers, PointAdjoint};
-use lobelia::mesh::Surface;
-use lobelia::mesh::primitive::sphere_mesh;
-use lobelia::pipeline::SystemResult;
-use lobelia::pipeline::pool::read_column;
 use lobelia::prelude::*;
-use lobelia::sample::Samples;
+use lobelia::sg::shading::{Layers, PointAdjoint};
 use lobelia::shape::vertices::{VertexIndex, VertexPlugin, VertexPosition};
 use std::ops::{ControlFlow, Range};
-use std::sync::Arc;
 
-/// What is made NaN in some steps of a fit.
+/// Value that is made NaN in some steps of a fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Place {
     /// The radiance of a sample.
     Radiance,
     /// The adjoint of a sample's albedo.
     Adjoint,
-    /// What vertices move by.
+    /// The moves of vertices.
     Vertices,
-    /// What cameras move by.
+    /// The moves of cameras.
     Cameras,
 }
 
@@ -95,15 +88,8 @@ fn poisoned_fit(
     let mut truth = studio(&day());
     let mut pipeline = studio(&LightLobe::even(16));
     pipeline.add_plugin(&FitPlugin);
-    let mut photograph = |camera: lobelia::view::Camera| {
-        let frame = shoot(&mut truth, camera);
-        let (width, height) = (camera.width, camera.height);
-        let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
-        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
-        let bare = ViewRecord::of_camera("front".into(), Split::Train, camera);
-        ViewRecord { photograph: Some(photograph), mask, ..bare }
-    };
-    spawn_views(&mut pipeline.world, vec![photograph(camera([0.1, 0.2, 1.0], 24))]);
+    let view = photograph(&mut truth, camera([0.1, 0.2, 1.0], 24), |_| ());
+    spawn_views(&mut pipeline.world, vec![view]);
     prepare(&mut pipeline);
     pipeline.world.insert_resource(poison);
     let late = poison_adjoints::<1>.after(ScatterAdjoints).before(Slot::ShapeGradient);
@@ -187,7 +173,7 @@ fn steps_of_vertices_and_cameras_that_are_not_finite_are_taken_back() {
     let fit = |place: Place, prepare: &dyn Fn(&mut Pipeline)| {
         let (mut pipeline, summary, _) = poisoned_fit(Poison { steps: 60..63, place }, &options, prepare);
         summary.unwrap();
-        let cameras = pipeline.world.query::<&lobelia::view::Camera>();
+        let cameras = pipeline.world.query::<&Camera>();
         assert!(cameras.iter_manual(&pipeline.world).all(|camera| camera.check().is_ok()));
         let guard = pipeline.world.resource::<StepGuard>();
         assert_eq!(guard.taken_back, 3);

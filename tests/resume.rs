@@ -1,69 +1,32 @@
 //! Runs that are killed go on where they were, and end with the same bits as runs without a break.
 
-use crate::common::{AtWork, Data, Outcome, SIZE, command, files_below, manifest, states};
+use crate::common::{AtStep, AtWork, Data, Outcome, files_below, join, manifest, states};
 use crate::photos::photographs;
 use glam::Vec3;
 use lobelia::Result;
 use lobelia::codec::gltf::export::write_glb;
 use lobelia::mesh::primitive::sphere_mesh;
-use lobelia::pass::progress::{Bar, Progress};
-use lobelia::pass::{self, RunOptions};
-use lobelia::scene::{LoadOptions, load};
+use lobelia::pass::progress::{Progress, Silent};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 /// Where a run is killed: a pass, and the position of its bar.
 pub type Death = (&'static str, u64);
 
-/// Ends the run without any of its code after that, when a pass comes to a step.
-pub struct Killer(pub Option<Death>);
-
-struct Fuse {
-    at: Option<u64>,
-    position: AtomicU64,
-}
-
-impl Progress for Killer {
-    fn note(&self, _: &str) {}
-
-    fn print(&self, _: &str) {}
-
-    fn bar(&self, title: &str, _: u64) -> Box<dyn Bar> {
-        let at = self.0.filter(|(pass, _)| *pass == title).map(|(_, at)| at);
-        Box::new(Fuse { at, position: AtomicU64::new(0) })
-    }
-}
-
-impl Bar for Fuse {
-    fn inc(&self, steps: u64) {
-        self.set_position(self.position.load(Ordering::Relaxed) + steps);
-    }
-
-    fn set_position(&self, steps: u64) {
-        self.position.store(steps, Ordering::Relaxed);
-        if self.at == Some(steps) {
-            resume_unwind(Box::new("killed"));
-        }
-    }
-
-    fn set_message(&self, _: String) {}
-
-    fn finish_and_clear(&self) {}
-}
-
-/// Runs a scene into `out`; `Err` if it was killed.
+/// Runs a scene into `out`; `Err` if it was killed, without any of its code after that.
 fn run(data: &Data, scene: &str, out: &str, resume: bool, death: Option<Death>) -> Result<Result<()>, ()> {
-    let path = data.path("scene.ron");
-    std::fs::write(&path, scene).unwrap();
-    let options = LoadOptions { data: Some(data.root().to_owned()), ..LoadOptions::default() };
-    let loaded = load(&path, &options).unwrap();
-    let checkpoint = Some(Duration::ZERO);
-    let options = RunOptions { out: data.path(out), checkpoint, resume, ..RunOptions::default() };
-    catch_unwind(AssertUnwindSafe(|| pass::run(&loaded, &options, &Killer(death)))).map_err(|_| ())
+    // A run without a break does not pause either.
+    let checkpoint_every = (resume || death.is_some()).then_some(Duration::ZERO);
+    let kill: fn() = || resume_unwind(Box::new("killed"));
+    let progress: Box<dyn Progress> = match death {
+        Some((pass, step)) => Box::new(AtStep(pass, step, kill)),
+        None => Box::new(Silent),
+    };
+    let run = || data.run_here(scene, out, checkpoint_every, resume, &*progress);
+    catch_unwind(AssertUnwindSafe(run)).map_err(|_| ())
 }
 
 /// The results of a run, without times and what the manifest says of the run itself.
@@ -119,10 +82,7 @@ fn survives(data: &Data, scene: &str, deaths: &[Death]) {
 pub fn two_balls(data: &Data) {
     let mut mesh = sphere_mesh(Vec3::ZERO, 0.8).unwrap();
     let small = sphere_mesh(Vec3::new(0.0, 0.0, 0.95), 0.1).unwrap();
-    let first = mesh.positions.len() as u32;
-    mesh.triangles.extend(small.triangles.iter().map(|corners| corners.map(|v| v + first)));
-    mesh.positions.extend(small.positions);
-    mesh.normals.extend(small.normals);
+    join(&mut mesh, &small);
     mesh.uvs = None;
     write_glb(&data.path("mesh.glb"), &mesh, None).unwrap();
 }
@@ -147,35 +107,25 @@ pub fn scene(surface: &str, material: &str, passes: &str) -> String {
 pub const MESH: &str = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 64)"#;
 
 #[test]
-fn a_fit_of_everything_goes_on_from_any_step() {
+fn a_fit_goes_on_from_the_last_part_that_was_done() {
     let data = Data::new();
     two_balls(&data);
-    let passes = r#"Fit(name: "fit", steps: 80, batch: 64, cameras: PosesAndFocal, exposure: Color, vertices: true),
+    let passes =
+        r#"Fit(name: "fit", steps: 300, batch: 64, detail: true), Render(name: "novel"), Save(), Export(),"#;
+    let text = scene(MESH, "", passes);
+    // With one material, with several, with what was chosen, while the texture gets its detail, and during the pictures.
+    let tried = ("fit, several base materials", 40);
+    survives(&data, &text, &[("fit", 60), tried, ("fit", 160), ("fit", 85), ("novel", 1)]);
+}
+
+#[test]
+fn a_fit_that_moves_cameras_and_vertices_has_no_parts_but_its_choices_and_its_detail() {
+    let data = Data::new();
+    two_balls(&data);
+    let passes = r#"Fit(name: "fit", steps: 80, batch: 64, cameras: PosesAndFocal, exposure: Color, vertices: true, detail: true),
         Render(name: "novel"), Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]), Save(), Export(),"#;
     let text = scene(MESH, "material: (gloss: Blend(materials: 2)),", passes);
-    // Before and after the cameras have moved, and during the pictures.
-    survives(&data, &text, &[("fit", 30), ("fit", 77), ("novel", 1)]);
-}
-
-#[test]
-fn a_fit_that_chooses_its_materials_goes_on_from_any_step() {
-    let data = Data::new();
-    two_balls(&data);
-    let passes = r#"Fit(name: "fit", steps: 300, batch: 64, vertices: true), Render(name: "novel"), Save(), Export(),"#;
-    let text = scene(MESH, "", passes);
-    // With one material, with several, with what was chosen, and after the fit.
-    survives(&data, &text, &[("fit", 60), ("fit, several base materials", 40), ("fit", 160), ("novel", 1)]);
-}
-
-#[test]
-fn a_fit_that_chooses_its_distribution_of_normals_goes_on_from_any_step() {
-    let data = Data::new();
-    two_balls(&data);
-    let passes = r#"Fit(name: "fit", steps: 800, batch: 64, vertices: true), Render(name: "novel"), Save(), Export(),"#;
-    // Shadows are found anew at steps that are not those of the choice.
-    let text = scene(MESH, "material: (gloss: One),", passes).replace("refresh_every: 4", "refresh_every: 7");
-    // Before the trial, in it, in the steps beside it, after the choice, and after the fit.
-    survives(&data, &text, &[("fit", 60), ("fit, GGX", 40), ("fit", 150), ("fit", 260), ("novel", 1)]);
+    survives(&data, &text, &[("fit", 77), ("fit", 85), ("novel", 1)]);
 }
 
 /// A scene whose first photograph of each split is of one placement, and the others of another, of which more is `said`.
@@ -188,7 +138,7 @@ fn in_two_rounds(passes: &str, said: &str) -> String {
 }
 
 #[test]
-fn an_object_that_was_turned_over_goes_on_from_any_step() {
+fn an_object_that_was_turned_over_goes_on() {
     let data = Data::new();
     two_balls(&data);
     let passes = r#"Fit(name: "fit", steps: 160, batch: 64), Render(name: "novel"), Save(), Export(),"#;
@@ -198,10 +148,11 @@ fn an_object_that_was_turned_over_goes_on_from_any_step() {
 }
 
 #[test]
-fn an_object_under_two_lights_goes_on_from_any_step() {
+fn an_object_under_two_lights_goes_on() {
     let data = Data::new();
     two_balls(&data);
-    let passes = r#"Fit(name: "fit", steps: 80, batch: 64, vertices: true, detail: true), Render(name: "novel"), Save(), Export(),"#;
+    let passes =
+        r#"Fit(name: "fit", steps: 80, batch: 64, detail: true), Render(name: "novel"), Save(), Export(),"#;
     let text = in_two_rounds(passes, ", light: Own");
     survives(&data, &text, &[("fit", 30), ("fit", 61), ("novel", 1)]);
 }
@@ -215,7 +166,7 @@ fn roughness_of_texels_goes_on_through_two_fits() {
 }
 
 #[test]
-fn a_shape_goes_on_from_any_level_and_step() {
+fn a_shape_goes_on_from_the_last_level_that_was_done() {
     let data = photographs();
     let passes = r#"Shape(name: "shape", levels: [
             (cells: 16, texel_cells: 12, steps: 54, hold: 5), (cells: 20, texel_cells: 16, steps: 12),
@@ -225,69 +176,34 @@ fn a_shape_goes_on_from_any_level_and_step() {
     survives(&data, &text, &[("shape", 1), ("shape", 53), ("shape", 63), ("fit", 7)]);
 }
 
-/// Runs leave the world of a `Shape` and of a `Fit`, but not where the scene would have to read a texture again: the bits are the same.
-#[test]
-fn a_new_world_between_passes_changes_no_bit() {
-    let data = photographs();
-    image::RgbImage::from_pixel(4, 4, image::Rgb([255; 3])).save(data.path("white.png")).unwrap();
-    let passes = r#"Shape(name: "shape", levels: [
-            (cells: 16, texel_cells: 12, steps: 54, hold: 5), (cells: 20, texel_cells: 16, steps: 12),
-        ], batch: 64, silhouette_batch: 32, cameras: PosesAndFocal, exposure: Color),
-        Fit(name: "fit", steps: 10, batch: 64, vertices: true, detail: true), Render(name: "novel"), Save(), Export(), View(),"#;
-    let with = |albedo: &str, out: &str| {
-        let material = format!("material: (albedo: Initial({albedo})),");
-        let text = scene("Unknown(cells: 16, texture_size: 128)", &material, passes);
-        run(&data, &text, out, false, None).unwrap().unwrap();
-        // The scene is what differs, and the page of its report.
-        let mut results = results(&data.path(out));
-        results.retain(|file, _| file != "run.json");
-        results
-    };
-    let (renewed, kept) =
-        (with("Constant(1.0, 1.0, 1.0)", "renewed/run"), with("Texture(\"$DATA/white.png\")", "kept/run"));
-    assert_eq!(renewed.keys().collect::<Vec<_>>(), kept.keys().collect::<Vec<_>>());
-    for (file, bits) in &renewed {
-        assert!(*bits == kept[file], "{file} differs:\n{bits}\n{}", kept[file]);
-    }
-}
-
-/// A fit that takes some seconds.
-fn long_fit() -> String {
-    let passes = r#"Fit(name: "fit", steps: 800, batch: 64, vertices: true), Save(),"#;
+/// A fit, and another that takes some seconds.
+fn long_fits() -> String {
+    let passes = r#"Fit(name: "fit", steps: 10, batch: 64), Fit(name: "again", steps: 800, batch: 64, vertices: true), Save(),"#;
     scene(MESH, "", passes)
 }
 
 fn resumed(data: &Data, arguments: &[&str]) -> Outcome {
-    let mut run = command(&["run", "--quiet", "--threads", "2", "--resume"]);
-    run.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path("out"));
-    Outcome::of(run.args(arguments))
+    data.run_file("scene.ron", "out", &[&["--quiet", "--threads", "2", "--resume"], arguments].concat())
 }
 
 #[test]
 fn a_killed_process_goes_on_with_what_it_was_begun_with_and_nothing_else() {
     let data = Data::new();
-    let arguments = ["--threads", "2", "--checkpoint", "0s"];
-    data.run(&long_fit(), "whole", &[&["--quiet"], &arguments[..]].concat()).succeeded();
-    let at_work = AtWork::start(&data, &long_fit(), &arguments, "fit");
-    at_work.until_a_step_is_kept(&data);
+    let arguments = ["--threads", "2"];
+    data.run(&long_fits(), "whole", &[&["--quiet"], &arguments[..]].concat()).succeeded();
+    let at_work = AtWork::start(&data, &long_fits(), &arguments, "again");
+    at_work.until_a_step();
     at_work.kill();
-    let refused = |arguments: &[&str], words: &[&str]| {
-        let outcome = resumed(&data, arguments);
-        assert_eq!(outcome.code, Some(2), "{arguments:?}: {}", outcome.stderr);
-        for word in words {
-            assert!(outcome.stderr.contains(word), "no {word:?} in\n{}", outcome.stderr);
-        }
-    };
+    let refused = |arguments: &[&str], words: &[&str]| resumed(&data, arguments).refused(words);
     refused(&["--seed", "9"], &["scene is not the one", "--force"]);
-    refused(&["--set", "passes.fit.rates.light=0.011"], &["scene is not the one"]);
+    refused(&["--set", "passes.again.rates.light=0.011"], &["scene is not the one"]);
     refused(&["--force"], &["--resume"]);
-    let (photograph, other) =
-        (data.path("train/image/rgb_000000.exr"), data.path("train/image/rgb_000001.exr"));
+    let [photograph, other] = [0, 1].map(|i| data.path(format!("train/image/rgb_{i:06}.exr")));
     let bytes = std::fs::read(&photograph).unwrap();
     std::fs::copy(other, &photograph).unwrap();
     refused(&[], &["rgb_000000.exr is not what it was", "Put it back"]);
     std::fs::write(&photograph, bytes).unwrap();
-    let begun = data.path("out/.checkpoint/begun.json");
+    let begun = data.path("out/run.json");
     let text = std::fs::read_to_string(&begun).unwrap();
     let version = serde_json::from_str::<Value>(&text).unwrap()["version"].as_str().unwrap().to_owned();
     std::fs::write(&begun, text.replace(&version, "0.0.1")).unwrap();
@@ -325,12 +241,12 @@ fn a_resumed_run_reports_what_was_done_before_its_break() {
 #[test]
 fn a_stopped_process_goes_on_and_its_first_results_are_replaced() {
     let data = Data::new();
-    data.run(&long_fit(), "whole", &["--quiet", "--threads", "2"]).succeeded();
-    let at_work = AtWork::start(&data, &long_fit(), &["--threads", "2", "--checkpoint", "0s"], "fit");
-    at_work.until_a_step_is_kept(&data);
+    data.run(&long_fits(), "whole", &["--quiet", "--threads", "2"]).succeeded();
+    let at_work = AtWork::start(&data, &long_fits(), &["--threads", "2"], "again");
+    at_work.until_a_step();
     at_work.signal("TERM");
     assert_eq!(at_work.ended(), Some(143));
-    assert_eq!(states(&manifest(&data.path("out"))), ["interrupted", "finished"]);
+    assert_eq!(states(&manifest(&data.path("out"))), ["finished", "interrupted", "finished"]);
     resumed(&data, &[]).succeeded();
     assert_eq!(results(&data.path("out")), results(&data.path("whole")));
 }
@@ -339,15 +255,14 @@ fn a_stopped_process_goes_on_and_its_first_results_are_replaced() {
 fn without_a_run_to_go_on_with_one_begins() {
     let data = Data::new();
     let text = scene(MESH, "", r#"Fit(name: "fit", steps: 4, batch: 128),"#);
-    std::fs::write(data.path("scene.ron"), &text).unwrap();
-    resumed(&data, &["--checkpoint", "off"]).succeeded();
+    data.write("scene.ron", &text);
+    resumed(&data, &[]).succeeded();
     assert_eq!(manifest(&data.path("out"))["state"], "finished");
     assert!(!data.path("out/.checkpoint").exists());
     // What no run has written is left alone.
     std::fs::create_dir(data.path("other")).unwrap();
-    std::fs::write(data.path("other/mine.txt"), "mine").unwrap();
-    let outcome = data.run(&text, "other", &["--resume"]);
-    assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
+    data.write("other/mine.txt", "mine");
+    data.run(&text, "other", &["--resume"]).refused(&[]);
     assert_eq!(files_below(&data.path("other")), ["mine.txt"]);
 }
 
@@ -359,25 +274,19 @@ fn results_that_cannot_be_gone_on_with_stay() {
     let endless =
         r#"Fit(name: "fit", steps: 4), Fit(name: "endless", steps: 1500000000, batch: 64), Save(),"#;
     let endless = scene(MESH, "", endless);
-    let at_work = AtWork::start(&data, &endless, &["--threads", "2", "--checkpoint", "off"], "endless");
+    let at_work = AtWork::start(&data, &endless, &["--threads", "2"], "endless");
+    at_work.until_a_step();
     at_work.signal("TERM");
     assert_eq!(at_work.ended(), Some(143));
+    std::fs::remove_dir_all(data.path("out/.checkpoint")).unwrap();
     let before = files_below(&data.path("out"));
     assert!(before.iter().any(|file| file.starts_with("saved/")), "{before:?}");
-    let refused = |words: &[&str]| {
-        let outcome = resumed(&data, &[]);
-        assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
-        for word in words {
-            assert!(outcome.stderr.contains(word), "no {word:?} in\n{}", outcome.stderr);
-        }
-    };
+    let refused = |words: &[&str]| resumed(&data, &[]).refused(words);
     refused(&["kept no checkpoints", "--force"]);
-    let outcome = data.run(&endless, "out", &[]);
-    assert!(outcome.stderr.contains("It kept no checkpoints"), "{}", outcome.stderr);
     assert_eq!(files_below(&data.path("out")), before);
     let text = scene(MESH, "", r#"Fit(name: "fit", steps: 4, batch: 128),"#);
     data.run(&text, "out", &["--force", "--quiet"]).succeeded();
-    std::fs::write(data.path("scene.ron"), text.replace("steps: 4", "steps: 5")).unwrap();
+    data.write("scene.ron", text.replace("steps: 4", "steps: 5"));
     refused(&["has finished", "another scene", "--force"]);
 }
 
@@ -385,19 +294,10 @@ fn results_that_cannot_be_gone_on_with_stay() {
 #[test]
 fn other_cameras_are_not_gone_on_with() {
     let data = Data::new();
-    for folder in ["colmap/sparse/0", "colmap/images"] {
-        std::fs::create_dir_all(data.path(folder)).unwrap();
+    for name in ["a.exr", "b.exr"] {
+        data.write(format!("colmap/images/{name}"), data.bytes("train/image/rgb_000000.exr"));
     }
-    for name in ["a", "b"] {
-        let photograph = data.path("train/image/rgb_000000.exr");
-        std::fs::copy(photograph, data.path(&format!("colmap/images/{name}.exr"))).unwrap();
-    }
-    let images = "1 1 0 0 0 0 0 2.8 1 a.exr\n\n2 1 0 0 0 0 0 2.8 1 b.exr\n\n";
-    std::fs::write(data.path("colmap/sparse/0/images.txt"), images).unwrap();
-    let camera = |focal: f32| {
-        let text = format!("1 PINHOLE {SIZE} {SIZE} {focal} {focal} 12 12");
-        std::fs::write(data.path("colmap/sparse/0/cameras.txt"), text).unwrap();
-    };
+    let camera = |focal: f32| data.write_colmap(&["a.exr", "b.exr"], focal);
     camera(40.0);
     let surface = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 16)"#;
     let material = "material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0, 0, 0), roughness: Fixed(1))),";

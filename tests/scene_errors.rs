@@ -1,7 +1,6 @@
 //! A wrong scene file gives one clear report with file, line, column and caret, exit code 2, and writes nothing.
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use crate::common::{self, Data, Outcome, changed, files_below, flat};
 
 /// A scene that is right, without outside files.
 const RIGHT: &str = r#"Scene(
@@ -20,42 +19,34 @@ const RIGHT: &str = r#"Scene(
 )
 "#;
 
-struct Outcome {
-    code: Option<i32>,
-    stdout: String,
-    stderr: String,
-    /// What the folder holds afterward, besides the scene file.
-    written: Vec<PathBuf>,
+/// Runs `lobelia COMMAND scene.ron ARGUMENTS` in a folder of its own, in which nothing is written.
+#[track_caller]
+fn lobelia(command: &str, scene: &str, arguments: &[&str]) -> Outcome {
+    let folder = Data::bare();
+    std::fs::write(folder.path("scene.ron"), scene).unwrap();
+    let mut program = common::command(&[command, "scene.ron"]);
+    let outcome = Outcome::of(program.args(arguments).current_dir(folder.root()));
+    assert_eq!(files_below(folder.root()), ["scene.ron"], "something was written");
+    outcome
 }
 
-/// Runs `lobelia COMMAND scene.ron ARGUMENTS` in a folder of its own.
-fn lobelia(command: &str, scene: &str, arguments: &[&str]) -> Outcome {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("scene.ron"), scene).unwrap();
-    let Output { status, stdout, stderr } = Command::new(env!("CARGO_BIN_EXE_lobelia"))
-        .current_dir(folder.path())
-        .args([command, "scene.ron"])
-        .args(arguments)
-        .output()
-        .unwrap();
-    let entries = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path());
-    let written = entries.filter(|path| path.file_name() != Some("scene.ron".as_ref())).collect();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    Outcome { code: status.code(), stdout: text(stdout), stderr: text(stderr), written }
+/// Expects that `check` finds nothing wrong; returns what it says.
+#[track_caller]
+fn fine(scene: &str, arguments: &[&str]) -> String {
+    let outcome = lobelia("check", scene, arguments);
+    assert_eq!((outcome.code, outcome.stderr.as_str()), (Some(0), ""));
+    outcome.stdout
 }
 
 /// `RIGHT` with `from` replaced by `to`.
 fn wrong(from: &str, to: &str) -> String {
-    assert_eq!(RIGHT.matches(from).count(), 1, "{from:?} must be there once");
-    RIGHT.replace(from, to)
+    changed(RIGHT, from, to)
 }
 
 /// Expects a report about `scene` at the line and column of `caret`, with an underline and all `words`.
 #[track_caller]
 fn refused(scene: &str, caret: &str, words: &[&str]) {
-    for command in ["run", "check"] {
-        refused_with(command, scene, &[], caret, scene, words);
-    }
+    refused_with("check", scene, &[], caret, scene, words);
 }
 
 #[track_caller]
@@ -72,24 +63,13 @@ fn refused_with(command: &str, scene: &str, arguments: &[&str], caret: &str, sho
     for word in words {
         assert!(flat(stderr).contains(word), "no {word:?} in\n{stderr}");
     }
-    assert_eq!(outcome.written, [] as [PathBuf; 0], "something was written");
     assert_eq!(outcome.stdout, "");
-}
-
-/// The text on one line, so that a wrapped sentence is found.
-fn flat(text: &str) -> String {
-    text.split(|c: char| c.is_whitespace() || c == '│')
-        .filter(|w| !w.is_empty())
-        .collect::<Vec<_>>()
-        .join(" ")
 }
 
 #[test]
 fn a_right_scene_is_fine() {
-    let outcome = lobelia("check", RIGHT, &[]);
-    assert_eq!((outcome.code, outcome.stderr.as_str()), (Some(0), ""));
-    assert!(outcome.stdout.contains("novel (Render), edited (Edit)"), "{}", outcome.stdout);
-    assert!(outcome.written.is_empty());
+    let said = fine(RIGHT, &[]);
+    assert!(said.contains("novel (Render), edited (Edit)"), "{said}");
 }
 
 #[test]
@@ -104,20 +84,7 @@ fn a_wrong_field_names_the_nearest_right_one() {
 fn published_shading_has_no_ggx() {
     let scene = wrong("exposure: 0.5", "shading: Published").replace("Fixed(0.3))", "Fixed(0.3), ndf: Ggx)");
     refused(&scene, "Published", &["`Published` shading cannot show", "`ndf: Ggx`", "`Accurate`"]);
-    let outcome = lobelia("check", &scene.replace("Published", "Accurate"), &[]);
-    assert_eq!((outcome.code, outcome.stderr.as_str()), (Some(0), ""));
-}
-
-#[test]
-fn only_path_tracing_with_enough_paths_is_denoised() {
-    let scene = wrong("exposure: 0.5", "denoise: true");
-    refused(&scene, "denoise", &["unknown field `denoise`", "`shading: PathTraced(spp: 16, denoise: true)`"]);
-    let scene = wrong("exposure: 0.5", "shading: Accurate(denoise: true)");
-    refused(&scene, "Accurate", &["`Accurate` alone, which has no fields", "`shading: PathTraced("]);
-    let scene = wrong("exposure: 0.5", "shading: PathTraced(spp: 2, denoise: true)");
-    refused(&scene, "true)", &["2 paths per pixel", "`spp` to be at least 4"]);
-    let outcome = lobelia("check", &scene.replace("spp: 2", "spp: 4"), &[]);
-    assert_eq!((outcome.code, outcome.stderr.as_str()), (Some(0), ""));
+    fine(&scene.replace("Published", "Accurate"), &[]);
 }
 
 #[test]
@@ -134,17 +101,13 @@ fn a_wrong_choice_lists_the_choices() {
 fn a_stroke_has_points_and_a_width() {
     let stroke =
         |region: &str| wrong("Set(0.8, 0.1, 0.1)", &format!("Set(0.8, 0.1, 0.1), region: Stroke({region})"));
-    let outcome =
-        lobelia("check", &stroke("points: [(0, 0.8, 0), (0.1, 0.7, 0.3)], radius: 0.2, falloff: 0.1"), &[]);
-    assert_eq!((outcome.code, outcome.stderr.as_str()), (Some(0), ""));
-    let (none, far) =
-        (stroke("points: [], radius: 0.2"), stroke("points: [(0, 0, 0), (0, inf, 0)], radius: 0.2"));
+    fine(&stroke("points: [(0, 0.8, 0), (0.1, 0.7, 0.3)], radius: 0.2, falloff: 0.1"), &[]);
+    let none = stroke("points: [], radius: 0.2");
     refused(&none, "[], radius", &["points is 0", "from 1 to 256"]);
+    let far = stroke("points: [(0, 0, 0), (0, inf, 0)], radius: 0.2");
     refused(&far, "(0, inf", &["points is [0, inf, 0]", "none beyond 1e9"]);
     let many = stroke(&format!("points: [{}], radius: 0.2", "(0, 0, 0), ".repeat(257)));
-    let outcome = lobelia("check", &many, &[]);
-    assert_eq!(outcome.code, Some(2));
-    assert!(flat(&outcome.stderr).contains("points is 257"), "{}", outcome.stderr);
+    lobelia("check", &many, &[]).refused(&["points is 257"]);
     refused(&stroke("points: [(0, 0, 0)], radius: 0"), "0))]", &["radius is 0", "a number above 0"]);
     refused(&stroke("points: [(0, 0, 0)]"), "Stroke", &["missing field `radius`"]);
 }
@@ -201,17 +164,17 @@ fn zero_lobes_are_refused() {
 #[test]
 fn a_missing_file_is_shown_with_its_neighbors() {
     let scene = wrong("Sphere(radius: 0.8)", "Mesh(path: \"scene.rom\")");
-    refused(&scene, "\"scene.rom\"", &["scene.rom: there is no such file", "did you mean `scene.ron`?"]);
+    refused(&scene, "\"scene.rom\"", &["scene.rom: there is no such file", "The folder has scene.ron."]);
     let scene = wrong("Sphere(radius: 0.8)", "Mesh(path: \"$DATA/mesh.glb\")");
     refused_with("run", &scene, &[], "\"$DATA/mesh.glb\"", &scene, &["--data DIR"]);
-    let outcome = lobelia("check", &scene, &[]);
-    assert!(
-        outcome.code == Some(0) && outcome.stdout.contains("1 below $DATA not looked for"),
-        "{}",
-        outcome.stdout
-    );
+    let said = fine(&scene, &[]);
+    assert!(said.contains("1 below $DATA not looked for"), "{said}");
     let scene = wrong("Constant(0.5, 0.5, 0.5)", "Texture(\"none/albedo.png\")");
-    refused(&scene, "\"none/albedo.png\"", &["none/albedo.png: there is no such file", "has no `none`"]);
+    refused(
+        &scene,
+        "\"none/albedo.png\"",
+        &["none/albedo.png: there is no such file", "There is no folder none"],
+    );
 }
 
 #[test]
@@ -239,11 +202,7 @@ fn broken_text_shows_what_is_open() {
         "        Edit(name: \"edited\", edits: [Diffuse(action: Set(0.8, 0.1, 0.1))]),\n    ],\n)\n",
         "",
     );
-    let outcome = lobelia("check", &scene, &[]);
-    assert_eq!(outcome.code, Some(2));
-    for words in ["expected a closing `]`", "opened here", "passes: ["] {
-        assert!(outcome.stderr.contains(words), "{}", outcome.stderr);
-    }
+    lobelia("check", &scene, &[]).refused(&["expected a closing `]`", "opened here", "passes: ["]);
     refused(&wrong("version: 1,", "version: 1"), "surface", &["expected `,` or `)`"]);
 }
 
@@ -255,51 +214,27 @@ fn set_is_checked_like_the_file() {
     let shown = wrong("exposure: 0.5", "exposure: 0.5, tones: Filmic");
     let set = ["--set", "passes.novel.render.tones=Filmic"];
     refused_with("run", RIGHT, &set, "tones", &shown, &["Did you mean `tone`?"]);
-    let outcome = lobelia("check", RIGHT, &["--set", "passes.novel.render.tone=Filmic", "--set", "seed=3"]);
-    assert_eq!(outcome.code, Some(0), "{}", outcome.stderr);
-}
-
-/// Expects exit code 2 and a plain message with all `words`.
-#[track_caller]
-fn usage(arguments: &[&str], words: &[&str]) {
-    let outcome = lobelia("run", RIGHT, arguments);
-    assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
-    for word in words {
-        assert!(outcome.stderr.contains(word), "no {word:?} in\n{}", outcome.stderr);
-    }
-    assert!(outcome.written.is_empty());
+    fine(RIGHT, &["--set", "passes.novel.render.tone=Filmic", "--set", "seed=3"]);
 }
 
 #[test]
 fn bad_arguments_are_refused() {
-    usage(&["--set", "passes.missing.name=1"], &["`passes` has no `missing`", "novel, edited"]);
-    usage(&["--set", "seed=(1"], &["not a RON value"]);
-    usage(&["--set", "seed"], &["expected PATH=VALUE"]);
-    usage(&["--threads", "0"], &["--threads"]);
-    usage(&["--threads", "5000"], &["--threads"]);
-    usage(&["--data", "nowhere"], &["no such folder"]);
-    usage(&["--seed", "-1"], &["--seed"]);
-    usage(&["--out", "scene.ron"], &["is a file"]);
-    usage(&["--out", "."], &["not empty", "--force"]);
-}
-
-#[test]
-fn a_scene_file_that_cannot_be_read_is_named() {
-    let run = |path: &Path| {
-        let output = Command::new(env!("CARGO_BIN_EXE_lobelia")).arg("check").arg(path).output().unwrap();
-        (output.status.code(), String::from_utf8(output.stderr).unwrap())
-    };
-    let folder = tempfile::tempdir().unwrap();
-    let (code, stderr) = run(&folder.path().join("none.ron"));
-    assert!(code == Some(2) && stderr.contains("none.ron: there is no such file"), "{stderr}");
-    let (code, stderr) = run(folder.path());
-    assert!(code == Some(2) && stderr.contains("is a folder"), "{stderr}");
-    let binary = folder.path().join("binary.ron");
-    std::fs::write(&binary, [b'(', 0xff, 0xfe]).unwrap();
-    let (code, stderr) = run(&binary);
-    assert!(code == Some(2) && stderr.contains("byte 1") && stderr.contains("UTF-8"), "{stderr}");
-    std::fs::write(&binary, "").unwrap();
-    assert_eq!(run(&binary).0, Some(2));
+    for (arguments, words) in [
+        (["--set", "passes.missing.name=1"], ["`passes` has no `missing`", "novel, edited"]),
+        (["--set", "seed=(1"], ["not a RON value", ""]),
+        (["--set", "seed"], ["expected PATH=VALUE", ""]),
+        (["--threads", "0"], ["--threads", ""]),
+        (["--threads", "5000"], ["--threads", ""]),
+        (["--data", "nowhere"], ["no such folder", ""]),
+        (["--seed", "-1"], ["--seed", ""]),
+        (["--out", "scene.ron"], ["is a file", ""]),
+        (["--out", "."], ["not empty", "--force"]),
+    ] {
+        lobelia("run", RIGHT, &arguments).refused(&words);
+    }
+    let none = Outcome::of(&mut common::command(&["check", "nowhere/none.ron"]));
+    none.refused(&["none.ron: there is no such file"]);
+    lobelia("check", "", &[]).refused(&[]);
 }
 
 #[test]

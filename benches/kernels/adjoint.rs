@@ -2,7 +2,7 @@
 
 use super::{CACHES, LOBES, POINTS, Turns, plain, workload};
 use criterion::{Criterion, Throughput};
-use lobelia_math::shading::{ClosedForm, RadianceColumns};
+use lobelia_sg::shading::{ClosedForm, RadianceColumns};
 
 pub fn adjoint(c: &mut Criterion) {
     let mut group = c.benchmark_group("shade adjoint");

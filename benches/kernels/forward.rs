@@ -2,7 +2,7 @@
 
 use super::{CACHES, LOBES, POINTS, Turns, plain, workload};
 use criterion::{Criterion, Throughput};
-use lobelia_math::shading::ClosedForm;
+use lobelia_sg::shading::ClosedForm;
 
 pub fn forward(c: &mut Criterion) {
     let mut group = c.benchmark_group("shade forward");

@@ -14,7 +14,7 @@ mod plain;
 mod pool;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use lobelia_math::workload::Workload;
+use lobelia_sg::workload::Workload;
 use std::ops::Range;
 use std::time::Duration;
 

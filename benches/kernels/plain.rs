@@ -1,8 +1,9 @@
-//! What one would write first: a `Vec` of lobes, two loops and the published formulas in `f32`.
+//! The straightforward implementation: a `Vec` of lobes, two loops and the published formulas in
+//! `f32`.
 
-use lobelia_math::published::{Lobe, evaluate_pair, prepare_point, pull_back_normal, pull_back_pair};
-use lobelia_math::real::{Vec3Of, dot};
-use lobelia_math::shading::{Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SpecularValue};
+use lobelia_sg::published::{Lobe, evaluate_pair, prepare_point, pull_back_normal, pull_back_pair};
+use lobelia_sg::real::{Vec3Of, dot};
+use lobelia_sg::shading::{Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SpecularValue};
 use std::f32::consts::PI;
 
 pub fn lobes(columns: &LobeColumns) -> Vec<Lobe<f32>> {

@@ -1,12 +1,12 @@
-//! What the ECS adds to a loop over a pool: Adam on the albedo of texels and its reflectance at pixel samples, over plain `Vec`s, over
-//! pools as they are spawned, and over pools that a marker has split into two tables.
+//! Overhead of the ECS in a loop over a pool: Adam on the albedo of texels and its reflectance at
+//! pixel samples, over plain `Vec`s, over pools as they are spawned, and over pools that a marker
+//! has split into two tables.
 
 use bevy_ecs::prelude::{Component, Entity, Mut, World};
 use bevy_ecs::system::SystemState;
 use criterion::Criterion;
 use glam::Vec3;
-use lobelia::fit::adam::{AdamStep, Moments};
-use lobelia::fit::components::{AlbedoGradient, AlbedoMoments};
+use lobelia::fit::components::{AdamStep, AlbedoGradient, AlbedoMoments, Moments};
 use lobelia::material::{DiffuseAlbedo, TexelIndex, Texels};
 use std::hint::black_box;
 

@@ -3,15 +3,15 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
+use lobelia::codec::envmap::read_map;
 use lobelia::codec::exr::read_exr_layers;
 use lobelia::codec::exr_frame::read_frame;
-use lobelia::light::EnvironmentMap;
 use lobelia_fuzz::read;
 
 fuzz_target!(|data: &[u8]| {
     read("a.exr", data, |path| {
         let _ = read_exr_layers(path);
         let _ = read_frame(path);
-        let _ = EnvironmentMap::read(path);
+        let _ = read_map(path);
     });
 });

@@ -3,7 +3,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lobelia::codec::npz::Npz;
+use lobelia::codec::npy::Npz;
 use lobelia_fuzz::read;
 
 fuzz_target!(|data: &[u8]| {

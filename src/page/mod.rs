@@ -1,42 +1,30 @@
 //! The page that shows the object in a browser: one HTML file that holds everything, and asks no server for anything.
 //!
-//! | module | holds |
-//! | --- | --- |
-//! | [`pack`] | arrays of numbers in one compressed block |
-//! | [`mesh`] | the mesh in 16-bit numbers |
-//! | `shadow` | hidden directions of texels, and what hides them |
-//! | [`upright`] | which way is up |
-//! | `assets/` | the page itself: HTML, style, script and shaders, as they are served |
-//!
-//! The page shades every pixel by the closed forms of [`accurate`](crate::math::accurate), ported to GLSL, with all lobes, all base
-//! materials, and shadows and reflected light found as [`visibility`](crate::visibility) finds them.
+//! `assets/` has the page itself: HTML, style, script and shaders, as they are served; `pack` the
+//! arrays of numbers. The page shades every pixel by the closed forms of
+//! [`accurate`](lobelia_sg::accurate), ported to GLSL, with all lobes, all base materials, and
+//! shadows and reflected light found as [`visibility`](lobelia_solve::visibility) finds them.
 
-pub mod mesh;
-pub mod pack;
-pub(crate) mod shadow;
-pub mod upright;
+mod pack;
 
-use crate::error::Result;
-use crate::light::LightLobe;
-use crate::light::light_frame::LightFrame;
-use crate::material::edit::MaterialState;
-use crate::material::sheen::has_sheen;
-use crate::material::tilt::has_tilt;
-use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
-use crate::math::brdf::Ndf;
-use crate::math::color::srgb_from_linear;
-use crate::mesh::Surface;
-use crate::report::html::filled;
-use crate::report::html::text::escaped;
-use crate::view::{Camera, PixelWindow, Split};
-use crate::visibility::ObjectVisibility;
+use crate::report::html::{escaped, filled};
+use crate::report::tone::MAT;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::Vec3;
-use mesh::pack_mesh;
-use pack::Pack;
-use serde_json::{Value, json};
-use shadow::pack_visibility;
+use lobelia_geometry::error::Result;
+use lobelia_geometry::mesh::Surface;
+use lobelia_geometry::view::{Camera, PixelWindow, Split};
+use lobelia_sg::brdf::Ndf;
+use lobelia_sg::color::srgb_from_linear;
+use lobelia_solve::visibility::ObjectVisibility;
+use lobelia_world::light::LightLobe;
+use lobelia_world::light::light_frame::LightFrame;
+use lobelia_world::material::edit::MaterialState;
+use lobelia_world::material::sheen::has_sheen;
+use lobelia_world::material::tilt::has_tilt;
+use pack::{Pack, pack_mesh, pack_visibility};
+use serde_json::{Map, Value, json};
 
 /// The page without its data.
 const PAGE: &str = include_str!("assets/page.html");
@@ -82,7 +70,7 @@ const SHADERS: [(&str, &str); 10] = [
 /// A light that the page offers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PageLight {
-    /// What the page calls it.
+    /// Name on the page.
     pub name: String,
     /// Its lobes, in its frame.
     pub lobes: Vec<LightLobe>,
@@ -112,17 +100,15 @@ pub struct PagePhotograph {
     pub window: PixelWindow,
     /// Its size in the page, in pixels.
     pub size: [u32; 2],
-    /// The picture as a `data:` address, sRGB; outside the object it has the color of the mat.
+    /// The picture as a `data:` address, sRGB; outside the object it shows the mat of contact sheets.
     pub address: String,
-    /// The color of the mat.
-    pub mat: [u8; 3],
     /// How much of each pixel is the object, up to 255; none if the view has no mask.
     pub coverage: Option<Vec<u8>>,
 }
 
-/// What a page shows.
+/// Contents of a page.
 pub struct Contents<'a> {
-    /// What the page is called.
+    /// Title of the page.
     pub title: &'a str,
     /// The world's up direction.
     pub up: Vec3,
@@ -136,7 +122,7 @@ pub struct Contents<'a> {
     pub lights: Vec<PageLight>,
     /// The cameras of the views.
     pub cameras: Vec<PageCamera>,
-    /// What hides what, if the scene has shadows.
+    /// Visibility between parts of the object, if the scene has shadows.
     pub visibility: Option<&'a ObjectVisibility>,
 }
 
@@ -148,84 +134,82 @@ pub fn html(contents: &Contents) -> Result<String> {
     let mut pack = Pack::default();
     let mut scene = describe(contents, &mut pack)?;
     scene["arrays"] = pack.table();
-    let imports = MODULES.iter().map(|(name, text)| {
-        let address = format!("data:text/javascript;base64,{}", STANDARD.encode(text));
-        (format!("lobelia/{name}"), Value::String(address))
+    let text = |text: &str| Value::String(text.to_owned());
+    let imports = MODULES.iter().map(|(name, module)| {
+        let address = format!("data:text/javascript;base64,{}", STANDARD.encode(module));
+        (format!("lobelia/{name}"), text(&address))
     });
-    let shaders: serde_json::Map<String, Value> =
-        SHADERS.iter().map(|(name, text)| ((*name).to_owned(), Value::String((*text).to_owned()))).collect();
+    let shaders = SHADERS.iter().map(|(name, shader)| ((*name).to_owned(), text(shader)));
+    // Inside a script element, no other element may seem to begin or end.
+    let in_script = |value: &Value| value.to_string().replace('<', "\\u003c");
     let slots = [
         ("{{TITLE}}", escaped(contents.title)),
         ("{{STYLE}}", STYLE.to_owned()),
         ("{{VERSION}}", env!("CARGO_PKG_VERSION").to_owned()),
-        ("{{IMPORTS}}", json!({ "imports": imports.collect::<serde_json::Map<_, _>>() }).to_string()),
-        ("{{SHADERS}}", in_script(&Value::Object(shaders))),
+        ("{{IMPORTS}}", json!({ "imports": imports.collect::<Map<_, _>>() }).to_string()),
+        ("{{SHADERS}}", in_script(&Value::Object(shaders.collect()))),
         ("{{SCENE}}", in_script(&scene)),
         ("{{BLOCK}}", pack.block()?),
     ];
     filled(PAGE, &slots)
 }
 
-/// JSON inside a script element, in which no other element may seem to begin or end.
-fn in_script(value: &Value) -> String {
-    value.to_string().replace('<', "\\u003c")
-}
-
-/// What is in the page besides arrays, which go into `pack`.
+/// Returns the contents of the page besides arrays, which go into `pack`.
 fn describe(contents: &Contents, pack: &mut Pack) -> Result<Value> {
     let Contents { surface, material, .. } = contents;
     let atlas = surface.atlas();
     let (center, radius) = surface.bounding_sphere();
     let mesh = pack_mesh(pack, surface.mesh());
-    pack_texels(contents, pack);
-    let shadows = match contents.visibility {
-        Some(visibility) => pack_visibility(pack, surface, material, visibility)?,
-        None => Value::Null,
-    };
-    let lights: Vec<Value> = contents
-        .lights
-        .iter()
-        .enumerate()
-        .map(|(i, light)| light_json(i, light, pack))
-        .collect::<Result<_>>()?;
-    let cameras = contents.cameras.iter().enumerate();
-    let cameras: Vec<Value> = cameras.map(|(i, view)| camera_json(i, view, pack)).collect();
-    Ok(json!({
-        "title": contents.title, "up": contents.up.normalize_or(Vec3::Y), "center": center, "radius": radius,
-        "mesh": mesh, "texture": [atlas.width, atlas.height], "blended": is_blended(material),
-        "materials": materials_json(material), "edits": contents.edits, "visibility": shadows, "lights": lights,
-        "cameras": cameras,
-    }))
-}
-
-/// Puts what the material has of each texel into `pack`: albedo, and where there are any, sheen, tilt and blend weights.
-fn pack_texels(contents: &Contents, pack: &mut Pack) {
-    let material = contents.material;
     pack.bytes("albedo", &albedo_bytes(contents, |i| material.albedo[i].0));
     if has_sheen(&material.sheen) {
         pack.bytes("along", &albedo_bytes(contents, |i| material.albedo[i].0 + material.sheen[i].0));
     }
     if has_tilt(&material.tilt) {
-        pack.bytes("tilt", &material.tilt.iter().flat_map(|tilt| tilt_bytes(tilt.0)).collect::<Vec<_>>());
+        // Each component as 128 and 4 times a number from −31 to 31, because fewer values are
+        // packed into less, and 255.
+        let byte = |t: f32| (128.0 + 4.0 * (31.0 * t.clamp(-1.0, 1.0)).round()) as u8;
+        let tilts = material.tilt.iter().flat_map(|tilt| {
+            let [x, y, z] = tilt.0.to_array().map(byte);
+            [x, y, z, 255]
+        });
+        pack.bytes("tilt", &tilts.collect::<Vec<_>>());
     }
-    if is_blended(material) {
-        pack.bytes("blend", &material.blends.iter().flat_map(blend_bytes).collect::<Vec<_>>());
+    // Whether texels blend base materials, each in its own way.
+    let is_blended = material.uniform().is_none();
+    if is_blended {
+        let byte = |weight: f32| (weight.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+        pack.bytes("blend", &material.blends.iter().flat_map(|blend| blend.0.map(byte)).collect::<Vec<_>>());
     }
-}
-
-/// Whether texels blend base materials, each in its own way.
-fn is_blended(material: &MaterialState) -> bool {
-    material.uniform().is_none()
-}
-
-/// The base materials, with their numbers.
-fn materials_json(material: &MaterialState) -> Vec<Value> {
+    let shadows = match contents.visibility {
+        Some(visibility) => pack_visibility(pack, surface, material, visibility)?,
+        None => Value::Null,
+    };
+    let mut lights: Vec<Value> = Vec::new();
+    for (i, PageLight { name, lobes, frame, own }) in contents.lights.iter().enumerate() {
+        let numbers = lobes.iter().flat_map(|LightLobe { axis, sharpness, amplitude }| {
+            [axis.x, axis.y, axis.z, *sharpness, amplitude.x, amplitude.y, amplitude.z]
+        });
+        pack.floats(&format!("light{i}"), numbers)?;
+        let frame = match frame {
+            LightFrame::World => json!("world"),
+            LightFrame::Camera => json!("camera"),
+            LightFrame::Turntable(axis) => json!(axis.normalize_or(Vec3::Y)),
+        };
+        lights.push(json!({ "name": name, "own": own, "frame": frame }));
+    }
+    let cameras = contents.cameras.iter().enumerate();
+    let cameras: Vec<Value> = cameras.map(|(i, view)| camera_json(i, view, pack)).collect();
     let materials = material.materials().map(|(number, lobe)| {
         json!({
             "number": number, "albedo": lobe.albedo, "roughness": lobe.roughness, "ggx": lobe.ndf == Ndf::Ggx,
         })
     });
-    materials.collect()
+    Ok(json!({
+        "title": contents.title, "up": contents.up.normalize_or(Vec3::Y), "center": center, "radius": radius,
+        "mesh": mesh, "texture": [atlas.width, atlas.height], "blended": is_blended,
+        "materials": materials.collect::<Vec<_>>(), "edits": contents.edits, "visibility": shadows,
+        "lights": lights, "cameras": cameras,
+    }))
 }
 
 /// sRGB albedo of each texel, and whether the texel has a place on the surface.
@@ -240,55 +224,230 @@ fn albedo_bytes(contents: &Contents, albedo: impl Fn(usize) -> Vec3) -> Vec<u8> 
     (0..contents.material.albedo.len()).flat_map(texel).collect()
 }
 
-/// Each component of a tilt as 128 and 4 times a number from −31 to 31, because fewer values are packed into less, and 255.
-fn tilt_bytes(tilt: Vec3) -> [u8; 4] {
-    let [x, y, z] = tilt.to_array().map(|t| (128.0 + 4.0 * (31.0 * t.clamp(-1.0, 1.0)).round()) as u8);
-    [x, y, z, 255]
-}
-
-fn blend_bytes(blend: &SpecularBlend) -> [u8; MAX_SPECULAR_LOBES] {
-    blend.0.map(|weight| (weight.clamp(0.0, 1.0) * 255.0 + 0.5) as u8)
-}
-
-fn light_json(index: usize, light: &PageLight, pack: &mut Pack) -> Result<Value> {
-    let numbers = |lobe: &LightLobe| {
-        let LightLobe { axis, sharpness, amplitude } = *lobe;
-        [axis.x, axis.y, axis.z, sharpness, amplitude.x, amplitude.y, amplitude.z]
-    };
-    pack.floats(&format!("light{index}"), light.lobes.iter().flat_map(numbers))?;
-    let frame = match light.frame {
-        LightFrame::World => json!("world"),
-        LightFrame::Camera => json!("camera"),
-        LightFrame::Turntable(axis) => json!(axis.normalize_or(Vec3::Y)),
-    };
-    Ok(json!({ "name": light.name, "own": light.own, "frame": frame }))
-}
-
 fn camera_json(index: usize, view: &PageCamera, pack: &mut Pack) -> Value {
     let camera = &view.camera;
-    let rotation: [Vec3; 3] = [
-        camera.world_from_camera.matrix3.x_axis.into(),
-        camera.world_from_camera.matrix3.y_axis.into(),
-        camera.world_from_camera.matrix3.z_axis.into(),
-    ];
+    let axes = camera.world_from_camera.matrix3;
+    let axes: [Vec3; 3] = [axes.x_axis, axes.y_axis, axes.z_axis].map(Vec3::from);
     let shift = camera.pixel_center - 0.5;
+    let photograph = view.photograph.as_ref().map(|PagePhotograph { window, size, address, coverage }| {
+        if let Some(coverage) = coverage {
+            pack.bytes(&format!("coverage{index}"), coverage);
+        }
+        let window = [window.x, window.y, window.width, window.height];
+        json!({ "window": window, "size": size, "mat": MAT, "address": address })
+    });
     json!({
         "name": view.name, "test": view.split == Split::Test, "width": camera.width, "height": camera.height,
         "focal": camera.focal, "center": camera.center.map(|c| c - shift), "skew": camera.skew,
-        "eye": camera.position(), "axes": rotation,
-        "photograph": view.photograph.as_ref().map(|photograph| photograph_json(index, photograph, pack)),
+        "eye": camera.position(), "axes": axes, "photograph": photograph,
     })
 }
 
-fn photograph_json(index: usize, photograph: &PagePhotograph, pack: &mut Pack) -> Value {
-    let PagePhotograph { window, size, address, mat, coverage } = photograph;
-    if let Some(coverage) = coverage {
-        pack.bytes(&format!("coverage{index}"), coverage);
+/// Least length of the mean of the cameras' upward directions for which they agree on one.
+const AGREED: f32 = 0.3;
+/// Cosine from which a direction is taken for an axis: 20°.
+const NEAR_AXIS: f32 = 0.94;
+
+/// The direction that is up in most photographs, or that of the scene if they do not agree: data sets have their own axes. It is an axis of
+/// the world if one is near.
+pub fn upright(cameras: &[PageCamera], scene_up: Vec3) -> Vec3 {
+    let up = |camera: &PageCamera| Vec3::from(-camera.camera.world_from_camera.matrix3.y_axis);
+    let mean = cameras.iter().map(up).sum::<Vec3>() / cameras.len().max(1) as f32;
+    if mean.length() < AGREED {
+        return scene_up;
     }
-    json!({
-        "window": [window.x, window.y, window.width, window.height], "size": size, "mat": mat, "address": address,
-    })
+    let mean = mean.normalize();
+    let axes = [Vec3::X, Vec3::Y, Vec3::Z].into_iter().flat_map(|axis| [axis, -axis]);
+    axes.into_iter().find(|axis| axis.dot(mean) > NEAR_AXIS).unwrap_or(mean)
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+    use lobelia_geometry::mesh::primitive::sphere_mesh;
+    use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe};
+    use pack::Range;
+    use pack::tests::{direction, unpacked, value};
+
+    /// A sphere with two base materials under two lights.
+    fn page() -> String {
+        let surface = Surface::new(sphere_mesh(Vec3::ZERO, 0.8).unwrap(), 16).unwrap();
+        let count = surface.atlas().position.len();
+        let material = MaterialState {
+            albedo: vec![DiffuseAlbedo(Vec3::new(0.5, 0.25, 1.0)); count],
+            sheen: vec![DiffuseSheen(Vec3::new(0.25, 0.0, -0.5)); count],
+            tilt: vec![DiffuseTilt(Vec3::new(0.25, 0.0, -0.5)); count],
+            blends: vec![SpecularBlend::even(2); count],
+            lobes: vec![
+                Some(SpecularLobe::new(Vec3::splat(0.04), 0.5)),
+                Some(SpecularLobe::new(Vec3::ONE, 0.2)),
+            ],
+        };
+        let lobe = LightLobe { axis: Vec3::Y, sharpness: 3.0, amplitude: Vec3::ONE };
+        let light = |name: &str, own| PageLight {
+            name: name.into(),
+            lobes: vec![lobe; 3],
+            frame: LightFrame::World,
+            own,
+        };
+        let camera = Camera::look_at(Vec3::new(0.0, 0.0, 3.0), Vec3::ZERO, Vec3::Y, 38.0, 32, 24).unwrap();
+        let contents = Contents {
+            title: "a </title><script> & more",
+            up: Vec3::Y * 2.0,
+            surface: &surface,
+            material: &material,
+            edits: vec!["Roughness(action: Set(0.2))".into()],
+            lights: vec![light("found", true), light("</script>{{BLOCK}}", false)],
+            cameras: vec![
+                PageCamera { name: "bare".into(), split: Split::Train, camera, photograph: None },
+                PageCamera {
+                    name: "front".into(),
+                    split: Split::Test,
+                    camera,
+                    photograph: Some(photograph()),
+                },
+            ],
+            visibility: None,
+        };
+        html(&contents).unwrap()
+    }
+
+    fn photograph() -> PagePhotograph {
+        let window = PixelWindow { x: 3, y: 4, width: 8, height: 4 };
+        let address = "data:image/jpeg;base64,AAAA".into();
+        PagePhotograph { window, size: [4, 2], address, coverage: Some((0..8).collect()) }
+    }
+
+    /// Returns the part of `text` between two others.
+    fn between<'a>(text: &'a str, start: &str, end: &str) -> &'a str {
+        let from = text.find(start).unwrap_or_else(|| panic!("no {start}")) + start.len();
+        &text[from..from + text[from..].find(end).unwrap()]
+    }
+
+    fn scene_of(page: &str) -> Value {
+        serde_json::from_str(between(page, "id=\"scene\">", "</script>")).unwrap()
+    }
+
+    fn array(page: &str, scene: &Value, name: &str, width: usize) -> Vec<Vec<u8>> {
+        let bytes = unpacked(between(page, "id=\"block\">", "</script>"));
+        let entry = &scene["arrays"][name];
+        let [at, count] = ["at", "count"].map(|key| entry[key].as_u64().unwrap() as usize);
+        (0..count).map(|i| (0..width).map(|plane| bytes[at + plane * count + i]).collect()).collect()
+    }
+
+    /// 16-bit numbers whose differences from those `delta` places before are kept.
+    fn shorts(page: &str, scene: &Value, name: &str) -> Vec<u16> {
+        let delta = scene["arrays"][name]["delta"].as_u64().unwrap() as usize;
+        let mut values: Vec<u16> =
+            array(page, scene, name, 2).iter().map(|b| u16::from_le_bytes([b[0], b[1]])).collect();
+        for i in delta..values.len() {
+            values[i] = values[i].wrapping_add(values[i - delta]);
+        }
+        values
+    }
+
+    #[test]
+    fn a_page_asks_no_one_for_anything() {
+        let page = page();
+        for word in ["http:", "https:", "//cdn", "url(", "@import", "src=", "XMLHttpRequest", "fetch("] {
+            assert!(!page.contains(word), "the page has {word}");
+        }
+        let modules = between(&page, "type=\"importmap\">", "</script>");
+        let modules: Value = serde_json::from_str(modules).unwrap();
+        for (name, address) in modules["imports"].as_object().unwrap() {
+            let text = STANDARD.decode(address.as_str().unwrap().split_once(',').unwrap().1).unwrap();
+            let text = String::from_utf8(text).unwrap();
+            for word in ["http:", "https:", "XMLHttpRequest", "fetch(", "WebSocket", "import("] {
+                assert!(!text.contains(word), "{name} has {word}");
+            }
+        }
+        assert!(page.contains("default-src 'none'"));
+        assert!(page.len() < 360_000, "{} bytes", page.len());
+    }
+
+    #[test]
+    fn names_cannot_break_out_of_the_page() {
+        let page = page();
+        assert!(page.contains("<title>a &lt;/title&gt;&lt;script&gt; &amp; more</title>"));
+        let scene = scene_of(&page);
+        assert_eq!(scene["lights"][1]["name"], "</script>{{BLOCK}}");
+        assert_eq!(scene["title"], "a </title><script> & more");
+        assert_eq!(page.matches("<script").count(), 5, "the page's own script elements");
+    }
+
+    #[test]
+    fn the_mesh_comes_back() {
+        let page = page();
+        let scene = scene_of(&page);
+        let mesh = sphere_mesh(Vec3::ZERO, 0.8).unwrap();
+        let number = |of: &str, c: usize| scene["mesh"][of][c].as_f64().unwrap() as f32;
+        let positions = shorts(&page, &scene, "positions");
+        let at = |c: usize, fraction: u16| {
+            value(Range { low: number("low", c), size: number("size", c) }, fraction)
+        };
+        for (place, p) in positions.chunks(3).zip(&mesh.positions) {
+            let found = Vec3::from_array([0, 1, 2].map(|c| at(c, place[c])));
+            assert!(found.distance(*p) < 3e-5, "{found} {p}");
+        }
+        for (pair, normal) in shorts(&page, &scene, "normals").chunks(2).zip(&mesh.normals) {
+            assert!(direction([pair[0], pair[1]]).distance(*normal) < 1e-4);
+        }
+        let words = array(&page, &scene, "triangles", 4);
+        let mut last = 0u32;
+        for (word, index) in words.iter().zip(mesh.triangles.as_flattened()) {
+            last = last.wrapping_add(u32::from_le_bytes([word[0], word[1], word[2], word[3]]));
+            assert_eq!(last, *index);
+        }
+        assert_eq!(words.len(), 3 * mesh.triangles.len());
+    }
+
+    #[test]
+    fn the_scene_says_what_it_was_given() {
+        let page = page();
+        let scene = scene_of(&page);
+        assert_eq!(scene["up"], json!([0.0, 1.0, 0.0]));
+        assert_eq!((&scene["blended"], &scene["visibility"]), (&json!(true), &Value::Null));
+        assert_eq!(scene["materials"][1]["number"], 1);
+        assert_eq!(scene["cameras"][0]["eye"], json!([0.0, 0.0, 3.0]));
+        assert_eq!(scene["cameras"][0]["photograph"], Value::Null);
+        let photograph = &scene["cameras"][1]["photograph"];
+        assert_eq!((&photograph["window"], &photograph["size"]), (&json!([3, 4, 8, 4]), &json!([4, 2])));
+        assert_eq!(
+            (&photograph["mat"], &photograph["address"]),
+            (&json!(MAT), &json!("data:image/jpeg;base64,AAAA"))
+        );
+        assert_eq!(array(&page, &scene, "coverage1", 1).concat(), [0, 1, 2, 3, 4, 5, 6, 7]);
+        assert_eq!(scene["edits"], json!(["Roughness(action: Set(0.2))"]));
+        let albedo = array(&page, &scene, "albedo", 1);
+        assert_eq!(albedo[..3].concat(), [188, 137, 255]);
+        let along = array(&page, &scene, "along", 1);
+        assert_eq!(along[..3].concat(), [225, 137, 188], "albedo and sheen");
+        let tilt = array(&page, &scene, "tilt", 1);
+        assert_eq!(tilt[..4].concat(), [160, 128, 64, 255], "31 steps to each side of 128, 4 apart");
+        let light: Vec<f32> = array(&page, &scene, "light1", 4)
+            .iter()
+            .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+            .collect();
+        assert_eq!(light[..7], [0.0, 1.0, 0.0, 3.0, 1.0, 1.0, 1.0]);
+        assert_eq!(light.len(), 21);
+    }
+
+    fn looking_from(eye: Vec3, up: Vec3) -> PageCamera {
+        let camera = Camera::look_at(eye, Vec3::ZERO, up, 40.0, 64, 64).unwrap();
+        PageCamera { name: String::new(), split: Split::Test, camera, photograph: None }
+    }
+
+    #[test]
+    fn the_photographs_say_what_is_up() {
+        let ring = |up: Vec3, from: usize| -> Vec<PageCamera> {
+            let eyes =
+                (0..12).map(|i| f32::to_radians(30.0 * i as f32)).map(|t| Vec3::new(t.cos(), t.sin(), 0.6));
+            eyes.skip(from).map(|eye| looking_from(eye, up)).collect()
+        };
+        assert_eq!(upright(&ring(Vec3::Z, 0), Vec3::Y), Vec3::Z);
+        assert_eq!(upright(&ring(-Vec3::Z, 0), Vec3::Y), -Vec3::Z);
+        assert_eq!(upright(&[], Vec3::Y), Vec3::Y);
+        let both = [ring(Vec3::Z, 0), ring(-Vec3::Z, 0)].concat();
+        assert_eq!(upright(&both, Vec3::Y), Vec3::Y);
+    }
+}

@@ -4,42 +4,36 @@
 //! The pass writes a contact sheet of a few views, and for the report small pictures of all views: `<scored pass>/<view>_truth.jpg`, `_render.jpg` and
 //! `_error.jpg`. Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files.
 
-use crate::codec::exr_frame::{Frame, Layer, read_frame_layers};
-use crate::codec::gltf::import::read_mesh;
-use crate::codec::image::{Gamma, image_header};
-use crate::error::stop::check_interrupted;
-use crate::error::{Error, Result};
-use crate::mesh::chamfer::chamfer_distance;
 use crate::pass::render::{ChosenView, chosen_views};
-use crate::pass::session::Session;
+use crate::pass::run::session::Session;
 use crate::pass::truth_files::{ViewFiles, read_covered};
 use crate::pass::view_report::{self, ScoredOutcome, outlier_share};
-use crate::profile::stage;
-use crate::report::heat::{error_map, factor_for, heat_map};
-use crate::report::metrics::{ImagePair, albedo_psnr, coverage_iou, erode, mean};
-use crate::report::normals::NormalAngles;
-use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
-use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
-use crate::report::thumbnail::{side_for, write_thumbnail};
-use crate::report::tone::{Backdrop, Look, Picture};
-use crate::scene::{EvaluatePass, LayerTruth, Pass, RenderSettings, Score, ScoreScale, Truth};
-use crate::view::camera::Camera;
-use crate::view::{Photograph, Placement, ViewMask};
-use bevy_ecs::prelude::{Entity, World};
+use crate::report::metrics::{ImagePair, NormalAngles, albedo_psnr, coverage_iou, erode, mean};
+use crate::report::scores::{EvalView, PassScores, Scaling, ViewScores, score_views};
+use crate::report::sheet::{SheetRow, choose_evenly, write_sheet};
+use crate::report::tone::{Picture, VIEWS_BUDGET, error_map, side_within, write_thumbnail};
+use crate::scene::{EvaluatePass, LayerTruth, Pass, ScoreScale, Truth};
+use bevy_ecs::prelude::Entity;
 use glam::Vec3;
 use image::RgbImage;
+use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
+use lobelia_geometry::mesh::nearest::chamfer_distance;
+use lobelia_geometry::view::{Photograph, Placement, ViewMask, camera::Camera};
+use lobelia_io::codec::exr_frame::{Layer, read_frame_layers};
+use lobelia_io::codec::gltf::import::read_mesh;
+use lobelia_io::codec::image::{Gamma, image_header};
 use std::path::{Path, PathBuf};
+use tracing::info_span;
 
 /// Views shown in a row of the contact sheet.
 const SHEET_VIEWS: usize = 3;
 
-/// What is shown of every view, by the ends of the names of the files.
+/// Pictures of every view, by the ends of their file names.
 pub const PARTS: [&str; 3] = ["truth", "render", "error"];
 
 /// One view of a scored pass.
 struct ScoredView {
     eval: EvalView,
-    camera: Camera,
     albedo: Vec<Vec3>,
     normal: Vec<Vec3>,
     /// Intersection over union of the rendered object and the mask of the view, if it has one.
@@ -68,110 +62,105 @@ enum TrueImages {
     Made(Vec<Vec<Vec3>>),
 }
 
-/// Runs the pass.
-///
-/// # Errors
-/// If a prediction or a ground truth is missing or has the wrong size.
 pub(crate) fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     let mut views = 0;
     for score in &pass.scores {
         views += views_of(session, &score.pass)?.len();
     }
-    let side = side_for(views * PARTS.len());
-    let mut rows = Vec::new();
-    for i in 0..pass.scores.len() {
-        rows.push(score_pass(session, pass, i, side)?);
-    }
+    let side = side_within(views * PARTS.len(), VIEWS_BUDGET);
+    let rows =
+        (0..pass.scores.len()).map(|i| score_pass(session, pass, i, side)).collect::<Result<Vec<_>>>()?;
     if let Some(path) = &pass.mesh {
         let (found, truth) = (session.surface.mesh(), read_mesh(path)?);
         session.scores.chamfer = chamfer_distance(found, &truth, session.scene.seed);
     }
-    write_contact_sheet(session, pass, rows)
-}
-
-/// Scores the pass that `pass.scores[i]` names, and writes pictures of its views with sides of at most `side` pixels. Returns its row of the
-/// contact sheet. The first one also has a report of its views, and its layers are scored.
-fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -> Result<SheetRow> {
-    let score = &pass.scores[i];
-    let layers = layers_of(score.scale);
-    if rendered_by(session, &score.pass)?.is_denoised() {
-        let note = "is denoised: its scores are of pictures whose noise was filtered away";
-        session.progress.print(&format!("{}: {} {note}", pass.name, score.pass));
-    }
-    let scored = ScoredPass::open(session, score)?;
-    let mut overlaps = vec![None; scored.views.len()];
-    let scores = score_views(scored.views.len(), scaling(score.scale), |k| {
-        let view = scored.load(session, k, layers)?;
-        overlaps[k] = view.mask_iou;
-        Ok(view.eval)
-    })?;
-    let row = sheet_row(session, &scored, &scores, layers)?;
-    let folder = session.folder(&pass.name);
-    let outliers = write_parts(session, &scored, &scores, layers, &folder.join(&score.pass), side)?;
-    if i == 0 {
-        view_report::write(session, &folder, &scored.outcomes(&scores, &outliers))?;
-    }
-    session.scores.passes.insert(score.pass.clone(), scores);
-    if i == 0 {
-        session.scores.mask_iou = mean(&overlaps.into_iter().flatten().collect::<Vec<_>>());
-        score_layers(session, pass, &scored)?;
-    }
-    Ok(row)
-}
-
-/// Writes the contact sheet, if it has a row.
-fn write_contact_sheet(session: &Session, pass: &EvaluatePass, rows: Vec<SheetRow>) -> Result<()> {
-    let path = session.folder(&pass.name).join("contact_sheet.png");
-    let sheet = Sheet {
-        title: session.out.file_name().unwrap_or_default().to_string_lossy().into_owned(),
-        subtitle: "prediction, truth, error".to_owned(),
-        rows,
-        theme: Theme::Light,
-        ..Sheet::default()
-    };
-    if !sheet.rows.is_empty() {
-        write_sheet(&path, &sheet)?;
+    if !rows.is_empty() {
+        let path = session.folder(&pass.name).join("contact_sheet.png");
+        let title = session.out.file_name().unwrap_or_default().to_string_lossy();
+        write_sheet(&path, &title, "prediction, truth, error", &rows)?;
         session.progress.print(&format!("{}: {}", pass.name, path.display()));
     }
     Ok(())
 }
 
-impl ScoredPass {
-    fn open(session: &mut Session, score: &Score) -> Result<Self> {
-        let views = views_of(session, &score.pass)?;
-        let truths = match (&score.truth, score.truth.files()) {
-            (Truth::SelfMade { spp }, _) => TrueImages::Made(self_made(session, &score.pass, &views, *spp)?),
-            (_, Some(files)) => {
-                let files = ViewFiles::of(files);
-                TrueImages::Files(views.iter().map(|view| files.image(&view.name)).collect())
-            }
-            (_, None) => TrueImages::Photographs,
+/// Scores the pass that `pass.scores[i]` names, and writes pictures of its views with sides of at most
+/// `side` pixels. Returns its row of the contact sheet. The first one also has a report of its views,
+/// and its layers are scored.
+fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -> Result<SheetRow> {
+    let score = &pass.scores[i];
+    let (scaling, layers): (_, &[Layer]) = match score.scale {
+        ScoreScale::None => (Scaling::None, &[]),
+        ScoreScale::PerChannel => (Scaling::PerChannel, &[]),
+        ScoreScale::PerView => (Scaling::PerView, &[]),
+        ScoreScale::PerLayer => (Scaling::PerLayer, &[Layer::Diffuse, Layer::Specular]),
+    };
+    let views = views_of(session, &score.pass)?;
+    let truths = match (&score.truth, score.truth.files()) {
+        (Truth::SelfMade { spp }, _) => TrueImages::Made(self_made(session, &score.pass, &views, *spp)?),
+        (_, Some(files)) => {
+            let files = ViewFiles::of(files);
+            TrueImages::Files(views.iter().map(|view| files.image(&view.name)).collect())
+        }
+        (_, None) => TrueImages::Photographs,
+    };
+    let scored = ScoredPass { name: score.pass.clone(), views, truths };
+    let mut overlaps = vec![None; scored.views.len()];
+    let scores = score_views(scored.views.len(), scaling, |k| {
+        let view = scored.load(session, k, layers)?;
+        overlaps[k] = view.mask_iou;
+        Ok(view.eval)
+    })?;
+    let folder = session.folder(&pass.name);
+    let (row, outliers) = show_views(session, &scored, &scores, layers, &folder.join(&score.pass), side)?;
+    if i == 0 {
+        let each = scored.views.iter().zip(&scores.views).zip(outliers);
+        let outcome = |((view, scores), outliers): ((&ChosenView, &ViewScores), Option<f64>)| ScoredOutcome {
+            view: view.entity,
+            psnr: scores.psnr,
+            outliers,
         };
-        Ok(Self { name: score.pass.clone(), views, truths })
+        view_report::write(session, &folder, &each.map(outcome).collect::<Vec<_>>())?;
     }
+    session.scores.passes.insert(score.pass.clone(), scores);
+    if i == 0 {
+        session.scores.mask_iou = mean(overlaps.into_iter().flatten());
+        score_layers(session, pass, &scored)?;
+    }
+    Ok(row)
+}
 
+impl ScoredPass {
     fn load(&self, session: &Session, i: usize, layers: &[Layer]) -> Result<ScoredView> {
         check_interrupted()?;
-        let _reading = stage("views read");
+        let _reading = info_span!("views read").entered();
         let view = &self.views[i];
         let path = session.folder(&self.name).join(format!("{}.exr", view.stem));
         let frame = read_frame_layers(path, layers)?;
-        let (truth, covered) = self.truth(&session.pipeline.world, i)?;
-        let mask = session.pipeline.world.get::<ViewMask>(view.entity).map(|mask| mask.0.mask());
+        let place = || format!("{}, view {}", self.name, view.stem);
+        let world = &session.pipeline.world;
+        // True radiance, the coverage of a picture of encoded colors that has some, and whether it is one,
+        // as those of the field's tables are: any but floats.
+        let (truth, covered, in_srgb) = match &self.truths {
+            TrueImages::Photographs => {
+                let found = world.get::<Photograph>(view.entity).map(|photograph| photograph.image().pixels);
+                let found =
+                    found.ok_or_else(|| Error::run(place(), "there is no photograph to compare with"));
+                (found?, None, true)
+            }
+            TrueImages::Files(files) => {
+                let in_srgb = !image_header(&files[i])?.is_float;
+                let (pixels, alpha) = read_covered(&files[i], Gamma::Srgb, &view.camera)?;
+                (pixels, alpha.filter(|_| in_srgb), in_srgb)
+            }
+            TrueImages::Made(pictures) => (pictures[i].clone(), None, false),
+        };
+        let mask = world.get::<ViewMask>(view.entity).map(|mask| mask.0.mask());
         let mask_iou = mask.as_ref().and_then(|mask| coverage_iou(&frame.alpha, &mask.coverage));
         let coverage = mask.map(|mask| mask.coverage).or(covered).unwrap_or_default();
         let outline = if coverage.is_empty() { &frame.alpha } else { &coverage };
         let size = [frame.width, frame.height];
-        if truth.len() != frame.color.len() || outline.len() != frame.color.len() {
-            return Err(Error::run(
-                format!("{}, view {}", self.name, view.stem),
-                format!(
-                    "the ground truth has {} pixels, the prediction {} × {}",
-                    truth.len(),
-                    size[0],
-                    size[1]
-                ),
-            ));
+        if [truth.len(), outline.len()] != [frame.color.len(); 2] {
+            return Err(Error::run(place(), "the ground truth has another size than the prediction"));
         }
         let eval = EvalView {
             name: view.stem.clone(),
@@ -184,102 +173,38 @@ impl ScoredPass {
             truth,
             alpha: frame.alpha,
             coverage,
-            in_srgb: self.truths.are_encoded(i)?,
+            in_srgb,
         };
-        let (camera, albedo, normal) = (view.camera, frame.albedo, frame.normal);
-        Ok(ScoredView { eval, camera, albedo, normal, mask_iou })
-    }
-
-    /// PSNR and share of outliers of each view.
-    fn outcomes(&self, scores: &PassScores, outliers: &[Option<f64>]) -> Vec<ScoredOutcome> {
-        let each = self.views.iter().zip(&scores.views).zip(outliers);
-        each.map(|((view, scores), outliers)| ScoredOutcome {
-            view: view.entity,
-            psnr: scores.psnr,
-            outliers: *outliers,
-        })
-        .collect()
-    }
-
-    /// The true radiance of view `i`, and its coverage if it is a picture of encoded colors that has some.
-    fn truth(&self, world: &World, i: usize) -> Result<(Vec<Vec3>, Option<Vec<f32>>)> {
-        let view = &self.views[i];
-        match &self.truths {
-            TrueImages::Photographs => {
-                let found = world.get::<Photograph>(view.entity).map(|photograph| photograph.image().pixels);
-                let found = found.ok_or_else(|| {
-                    Error::run(&self.name, format!("view {} has no photograph to compare with", view.stem))
-                });
-                Ok((found?, None))
-            }
-            TrueImages::Files(files) => {
-                let (pixels, alpha) = read_covered(&files[i], Gamma::Srgb, &view.camera)?;
-                Ok((pixels, if self.truths.are_encoded(i)? { alpha } else { None }))
-            }
-            TrueImages::Made(pictures) => Ok((pictures[i].clone(), None)),
-        }
-    }
-}
-
-impl TrueImages {
-    /// Whether the picture of view `i` is of encoded colors, as the field's tables are: any but floats.
-    fn are_encoded(&self, i: usize) -> Result<bool> {
-        match self {
-            Self::Photographs => Ok(true),
-            Self::Files(files) => Ok(!image_header(&files[i])?.is_float),
-            Self::Made(_) => Ok(false),
-        }
-    }
-}
-
-/// The layers that a scale needs.
-fn layers_of(rule: ScoreScale) -> &'static [Layer] {
-    match rule {
-        ScoreScale::None | ScoreScale::PerChannel | ScoreScale::PerView => &[],
-        ScoreScale::PerLayer => &[Layer::Diffuse, Layer::Specular],
+        Ok(ScoredView { eval, albedo: frame.albedo, normal: frame.normal, mask_iou })
     }
 }
 
 /// The views that a pass rendered, by the scene file.
 fn views_of(session: &mut Session, pass: &str) -> Result<Vec<ChosenView>> {
-    let settings = rendered_by(session, pass)?.clone();
-    Ok(chosen_views(&mut session.pipeline.world, &settings))
-}
-
-/// How a pass rendered, by the scene file.
-fn rendered_by<'s>(session: &'s Session, pass: &str) -> Result<&'s RenderSettings> {
-    let settings = session.scene.passes.iter().find(|p| p.name() == pass).and_then(Pass::render);
-    settings.ok_or_else(|| Error::run("evaluate", format!("there is no earlier pass {pass} that renders")))
-}
-
-fn scaling(rule: ScoreScale) -> Scaling {
-    match rule {
-        ScoreScale::None => Scaling::None,
-        ScoreScale::PerChannel => Scaling::PerChannel,
-        ScoreScale::PerView => Scaling::PerView,
-        ScoreScale::PerLayer => Scaling::PerLayer,
-    }
+    let settings = session.pass_named(Some(pass)).and_then(Pass::render);
+    let none = || Error::run("evaluate", format!("there is no earlier pass {pass} that renders"));
+    Ok(chosen_views(&mut session.pipeline.world, settings.ok_or_else(none)?))
 }
 
 /// The true object under the light and edits of the pass.
 fn self_made(session: &mut Session, pass: &str, views: &[ChosenView], spp: u32) -> Result<Vec<Vec<Vec3>>> {
-    let found = session.scene.passes.iter().find(|p| p.name() == pass);
-    let edits = found.map_or(&[] as &[_], Pass::edits);
-    let light = session.lights.of_passes.get(pass);
+    let edits = session.pass_named(Some(pass)).map_or(&[] as &[_], Pass::edits);
+    let light = session.pass_lights.get(pass);
     let of = |view: Entity| session.pipeline.world.get::<Placement>(view).copied().unwrap_or_default();
     let views: Vec<(Camera, Placement)> = views.iter().map(|view| (view.camera, of(view.entity))).collect();
     let bar = session.progress.bar("truth", views.len() as u64);
     let seed = session.scene.seed.wrapping_add(1_000_003);
-    let Some(truth) = &mut session.truth else {
-        return Err(Error::run(pass, "only `Photographed` views have a true object"));
-    };
+    let truth = session.truth.as_mut().ok_or_else(no_true_object)?;
     let frames = truth.pictures(&views, light, edits, spp, seed, || bar.inc(1))?;
     bar.finish_and_clear();
     Ok(frames.into_iter().map(|frame| frame.color).collect())
 }
 
+fn no_true_object() -> Error {
+    Error::run("evaluate", "only `Photographed` views have a true object")
+}
+
 /// A layer of the pixels that count, and its ground truth, of one view.
-#[derive(Default)]
 struct LayerPixels {
     prediction: Vec<Vec3>,
     truth: Vec<Vec3>,
@@ -287,16 +212,6 @@ struct LayerPixels {
 }
 
 impl LayerPixels {
-    fn new(view: &ScoredView, layer: &[Vec3], truth: &[Vec3]) -> Result<Self> {
-        let EvalView { width, height, mask, .. } = &view.eval;
-        ImagePair::new([*width, *height], layer, truth, mask)?;
-        let counted = |pixels: &[Vec3]| -> Vec<Vec3> {
-            pixels.iter().zip(mask).filter(|(_, counts)| **counts).map(|(pixel, _)| *pixel).collect()
-        };
-        let (prediction, truth) = (counted(layer), counted(truth));
-        Ok(Self { counts: vec![true; prediction.len()], prediction, truth })
-    }
-
     fn pair(&self) -> Result<ImagePair<'_>> {
         ImagePair::new([self.counts.len(), 1], &self.prediction, &self.truth, &self.counts)
     }
@@ -309,7 +224,7 @@ fn score_layers(session: &mut Session, pass: &EvaluatePass, scored: &ScoredPass)
             .map(|i| layer_pixels(session, scored, truth, Layer::Albedo, i))
             .collect::<Result<Vec<_>>>()?;
         let pairs = pixels.iter().map(LayerPixels::pair).collect::<Result<Vec<_>>>()?;
-        session.scores.albedo_psnr = albedo_psnr(&pairs).map(|score| score.psnr);
+        session.scores.albedo_psnr = albedo_psnr(&pairs);
     }
     if let Some(truth) = &pass.normal {
         let mut angles = NormalAngles::default();
@@ -332,86 +247,64 @@ fn layer_pixels(
     i: usize,
 ) -> Result<LayerPixels> {
     let view = scored.load(session, i, &[layer])?;
-    let names = [&scored.views[i].stem, &scored.views[i].name].map(String::as_str);
-    let truth = match truth.files() {
-        Some(files) => ViewFiles::of(files).read_layer(layer, names, &view.camera)?,
-        None => self_made_layer(session, &view, layer, i as u64)?,
+    let ChosenView { stem, name, camera, .. } = &scored.views[i];
+    let is_normal = layer == Layer::Normal;
+    let truth: Vec<Vec3> = match truth.files() {
+        Some(files) => ViewFiles::of(files).read_layer(layer, [stem, name], camera)?,
+        None => {
+            let seed = session.scene.seed.wrapping_add(i as u64);
+            let object = session.truth.as_mut().ok_or_else(no_true_object)?;
+            let frames = object.pictures(&[(*camera, Placement::default())], None, &[], 16, seed, || ())?;
+            frames.into_iter().flat_map(|f| if is_normal { f.normal } else { f.albedo }).collect()
+        }
     };
-    let found = if layer == Layer::Normal { &view.normal } else { &view.albedo };
-    LayerPixels::new(&view, found, &truth)
+    let found = if is_normal { view.normal } else { view.albedo };
+    let EvalView { width, height, mask, .. } = view.eval;
+    ImagePair::new([width, height], &found, &truth, &mask)?;
+    let counted = |pixels: &[Vec3]| -> Vec<Vec3> {
+        pixels.iter().zip(&mask).filter(|(_, counts)| **counts).map(|(pixel, _)| *pixel).collect()
+    };
+    let prediction = counted(&found);
+    Ok(LayerPixels { counts: vec![true; prediction.len()], truth: counted(&truth), prediction })
 }
 
-/// Albedo or normals of a view of the true object.
-fn self_made_layer(session: &mut Session, view: &ScoredView, layer: Layer, number: u64) -> Result<Vec<Vec3>> {
-    let seed = session.scene.seed.wrapping_add(number);
-    let Some(object) = &mut session.truth else {
-        return Err(Error::run("evaluate", "only `Photographed` views have a true object"));
-    };
-    let frames = object.pictures(&[(view.camera, Placement::default())], None, &[], 16, seed, || ())?;
-    let pick = |f: Frame| if layer == Layer::Albedo { f.albedo } else { f.normal };
-    Ok(frames.into_iter().flat_map(pick).collect())
-}
-
-/// Writes small pictures of all views: ground truth, prediction as it is scored, error. Returns the share of outliers of each view, of the
-/// prediction as it is scored.
-fn write_parts(
+/// Writes small pictures of all views: ground truth, prediction as it is scored, error. Returns a row of a
+/// few views for the contact sheet (prediction, ground truth, error) and the share of outliers of each
+/// view, of the prediction as it is scored.
+fn show_views(
     session: &Session,
     scored: &ScoredPass,
     scores: &PassScores,
     layers: &[Layer],
     folder: &Path,
     side: u32,
-) -> Result<Vec<Option<f64>>> {
-    let mut outliers = Vec::new();
-    let _drawing = stage("pictures");
+) -> Result<(SheetRow, Vec<Option<f64>>)> {
+    let _drawing = info_span!("pictures").entered();
+    let on_sheet = choose_evenly(scored.views.len(), SHEET_VIEWS);
+    let (mut cells, mut outliers) = (Vec::new(), Vec::new());
     for (i, chosen) in scored.views.iter().enumerate() {
         check_interrupted()?;
         let view = scored.load(session, i, layers)?;
-        let EvalView { width, height, truth, .. } = &view.eval;
+        let EvalView { name, width, height, truth, .. } = &view.eval;
         let shown = scores.scored_prediction(&view.eval);
         outliers.push(outlier_share(&view.eval, &shown));
-        let size = [*width as u32, *height as u32];
-        let error = error_map(size, [&shown, truth], view.outline(), Theme::Light.mat());
+        let error = error_map([*width, *height], [&shown, truth], view.outline());
         let pictures = [picture(&view, truth)?, picture(&view, &shown)?, error];
         for (part, picture) in PARTS.iter().zip(&pictures) {
             write_thumbnail(&folder.join(format!("{}_{part}.jpg", chosen.stem)), picture, side)?;
         }
+        if on_sheet.contains(&i) {
+            let [truth_shown, render, error] = pictures;
+            cells.push((format!("{name} {:.1} dB", scores.views[i].psnr), render));
+            cells.push(("truth".to_owned(), truth_shown));
+            cells.push(("error".to_owned(), error));
+        }
     }
-    Ok(outliers)
-}
-
-/// A few views: prediction, ground truth, error.
-fn sheet_row(
-    session: &Session,
-    scored: &ScoredPass,
-    scores: &PassScores,
-    layers: &[Layer],
-) -> Result<SheetRow> {
-    let _drawing = stage("pictures");
-    let factor = factor_for(scores.psnr);
-    let mut cells = Vec::new();
-    for i in choose_evenly(scored.views.len(), SHEET_VIEWS) {
-        let view = scored.load(session, i, layers)?;
-        let eval = &view.eval;
-        let shown = scores.scored_prediction(eval);
-        cells.push(cell(format!("{} {:.1} dB", eval.name, scores.views[i].psnr), &view, &shown)?);
-        cells.push(cell("truth".to_owned(), &view, &eval.truth)?);
-        let images = [shown.as_slice(), eval.truth.as_slice()];
-        let size = [eval.width as u32, eval.height as u32];
-        let image = heat_map(size, images, view.outline(), factor, Theme::Light.mat());
-        cells.push(SheetCell { label: format!("error x {factor}"), image });
-    }
-    Ok(SheetRow { heading: format!("{}: {}", scored.name, scores.summary()), cells })
-}
-
-fn cell(label: String, view: &ScoredView, color: &[Vec3]) -> Result<SheetCell> {
-    Ok(SheetCell { label, image: picture(view, color)? })
+    Ok((SheetRow { heading: format!("{}: {}", scored.name, scores.summary()), cells }, outliers))
 }
 
 /// Radiance of a view as a picture on the mat of a light sheet.
 fn picture(view: &ScoredView, color: &[Vec3]) -> Result<RgbImage> {
     let EvalView { width, height, .. } = view.eval;
-    let picture = Picture { width, height, color, alpha: view.outline() };
-    let mat = Theme::Light.mat().map(|b| crate::math::color::linear_from_srgb(f32::from(b) / 255.0));
-    picture.rgb8(&Look::default(), Backdrop::Solid(Vec3::from(mat)))
+    Picture { width, height, color, alpha: view.outline() }.on_mat()
 }

@@ -1,32 +1,25 @@
 //! Rendered photographs: the scene's surface with a known material under a known light, path traced. The fit does not use that knowledge.
 
-use crate::codec::exr_frame::Frame;
-use crate::error::Result;
-use crate::error::stop::check_interrupted;
-use crate::light::LightLobe;
-use crate::light::light_frame::LightFrame;
-use crate::light::lights::{LightChoice, provide_light, spawn_light};
-use crate::light::placement::{LightGroup, PicturePlacement};
-use crate::material::edit::MaterialState;
-use crate::material::shown::{show_edited, spawn_material};
-use crate::material::{DiffuseAlbedo, SpecularBlend};
-use crate::material::{DiffuseSheen, DiffuseTilt};
-use crate::math::fibonacci::fibonacci_axes;
-use crate::math::ray::Intersect;
-use crate::mesh::Surface;
-use crate::pass::edit::{apply_edits, spawn_edits};
-use crate::pass::progress::Progress;
-use crate::pass::shading::set_shading;
-use crate::pipeline::{Phase, Pipeline, Slot};
-use crate::sample::point::Scenery;
+use crate::pass::run::progress::Progress;
+use crate::pass::show::{apply_edits, set_shading, spawn_edits};
 use crate::scene::{CameraRing, CameraSpec, Edit, Pattern, Photographed, RenderSettings, Scene, Shading};
-use crate::shade::frame::{FramePlugin, render_frame, resolve};
-use crate::spawn::light_file::rotation;
-use crate::spawn::{LoadedLight, load_light};
-use crate::view::Placement;
-use crate::view::camera::Camera;
-use crate::view::{Image, Mask, Photograph, Split, StoredMask, ViewRecord};
+use crate::spawn::{LoadedLight, light::rotation, load_light};
 use glam::{Mat3, Vec3};
+use lobelia_geometry::error::{Result, stop::check_interrupted};
+use lobelia_geometry::mesh::Surface;
+use lobelia_geometry::view::{
+    Frame, Image, Mask, Photograph, Placement, Split, StoredMask, ViewRecord, camera::Camera,
+};
+use lobelia_sg::fibonacci::fibonacci_axes;
+use lobelia_sg::ray::Intersect;
+use lobelia_solve::shade::frame::{FramePlugin, render_frame, resolve};
+use lobelia_world::light::lights::{LightChoice, provide_light, spawn_light};
+use lobelia_world::light::placement::{LightGroup, PicturePlacement};
+use lobelia_world::light::{LightLobe, light_frame::LightFrame};
+use lobelia_world::material::shown::{show_edited, spawn_material};
+use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, edit::MaterialState};
+use lobelia_world::pipeline::{Phase, Pipeline, Slot};
+use lobelia_world::sample::point::Scenery;
 use std::sync::Arc;
 
 /// Name of the light and the edits of the true object.
@@ -45,9 +38,6 @@ pub struct TrueObject {
 
 impl TrueObject {
     /// Creates the object that a scene file describes.
-    ///
-    /// # Errors
-    /// If its light, or an image of its edits, cannot be read.
     pub fn new(spec: &Photographed, surface: &Arc<Surface>) -> Result<Self> {
         let mut pipeline = Pipeline::new();
         pipeline.add_plugin(&FramePlugin);
@@ -63,6 +53,8 @@ impl TrueObject {
             MaterialState { albedo, sheen, tilt, blends, lobes: vec![Some(spec.truth.specular)] };
         apply_edits(&mut material, &spec.truth.edits, surface)?;
         spawn_material(&mut pipeline.world, &material);
+        // Rotations of the object in the rounds of photographs.
+        let turned = spec.truth.placements.iter().map(|degrees| Mat3::from_quat(rotation(*degrees)));
         let others = spec.truth.other_lights.iter().map(load_light);
         let lights = std::iter::once(load_light(&spec.truth.light)).chain(others).collect::<Result<_>>()?;
         Ok(Self {
@@ -70,7 +62,7 @@ impl TrueObject {
             surface: surface.clone(),
             lights,
             light_frame: spec.truth.light_frame,
-            placements: rounds(spec),
+            placements: std::iter::once(Mat3::IDENTITY).chain(turned).collect(),
             max_bounces: spec.max_bounces,
         })
     }
@@ -81,9 +73,6 @@ impl TrueObject {
     }
 
     /// Path-traced pictures of the true object, optionally under another light or with edits. In its own light it lies as in the placement of each.
-    ///
-    /// # Errors
-    /// If an edit's image cannot be read, or a system fails.
     pub fn pictures(
         &mut self,
         views: &[(Camera, Placement)],
@@ -96,7 +85,7 @@ impl TrueObject {
         let lights = self.spawn_lights(light);
         spawn_edits(&mut self.pipeline.world, TRUTH, edits, &self.surface)?;
         self.pipeline.swap(Phase::Frame, Slot::Material, show_edited(TRUTH));
-        let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true, denoise: false };
+        let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
         let side = (f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32;
         let settings =
             RenderSettings { shading, samples_per_pixel: side * side, ..RenderSettings::default() };
@@ -107,8 +96,8 @@ impl TrueObject {
             let round = placement.0 as usize;
             let room_from_object = self.placements.get(round).copied().unwrap_or(Mat3::IDENTITY);
             // Rounds under other lights come after those of placements.
-            let number = (round + 1).saturating_sub(self.placements.len()).min(lights.len() - 1);
-            let choice = LightChoice::Named(lights[number].clone());
+            let number = (round + 1).saturating_sub(self.placements.len()).min(lights - 1);
+            let choice = LightChoice::Named(name_of(number));
             let shown = PicturePlacement { room_from_object, light: LightGroup::OWN };
             self.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, true));
             self.pipeline.world.insert_resource(shown);
@@ -118,72 +107,52 @@ impl TrueObject {
         Ok(frames)
     }
 
-    /// Spawns this light, or its own; returns their names.
-    fn spawn_lights(&mut self, light: Option<&LoadedLight>) -> Vec<String> {
+    /// Spawns this light, or its own; returns how many there are. Each is named by [`name_of`].
+    fn spawn_lights(&mut self, light: Option<&LoadedLight>) -> usize {
         let frame = light.is_none().then_some(self.light_frame);
         let lights = light.map_or(self.lights.as_slice(), std::slice::from_ref);
-        let mut names = Vec::new();
-        for (number, light) in lights.iter().enumerate() {
-            let name = format!("{TRUTH} {number}");
-            let spawned = spawn_light(&mut self.pipeline.world, &name, &light.lobes, light.map.clone());
+        for (number, LoadedLight { lobes, map, .. }) in lights.iter().enumerate() {
+            let spawned = spawn_light(&mut self.pipeline.world, name_of(number), lobes, map.clone());
             frame.into_iter().for_each(|frame| _ = self.pipeline.world.entity_mut(spawned).insert(frame));
-            names.push(name);
         }
-        names
+        lights.len()
     }
 }
 
-/// Renders all photographs of a scene.
-///
-/// # Errors
-/// If a system fails.
+fn name_of(light: usize) -> String {
+    format!("{TRUTH} {light}")
+}
+
 pub fn take(
     truth: &mut TrueObject,
     spec: &Photographed,
     scene: &Scene,
     progress: &dyn Progress,
 ) -> Result<Vec<ViewRecord>> {
-    let ring = ring(&spec.cameras, scene.up);
-    let cameras: Vec<Camera> = ring.iter().map(camera_of).collect::<Result<_>>()?;
-    let bar = progress.bar("photograph", cameras.len() as u64);
-    let shown: Vec<(Camera, Placement)> = cameras.into_iter().zip(placements_in_turn(spec)).collect();
+    let mut views = imagine(spec, scene)?;
+    let bar = progress.bar("photograph", views.len() as u64);
+    let shown: Vec<(Camera, Placement)> = views.iter().map(|view| (view.camera, view.placement)).collect();
     let frames = truth.pictures(&shown, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
     bar.finish_and_clear();
-    let records = ring.into_iter().zip(shown).zip(frames).map(|((spec, (camera, placement)), frame)| {
-        let (width, height) = (camera.width, camera.height);
-        ViewRecord {
-            photograph: Some(Photograph::of_image(&Image { width, height, pixels: frame.color })),
-            mask: Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha })),
-            placement,
-            ..ViewRecord::of_camera(spec.name, spec.split, camera)
-        }
-    });
-    Ok(records.collect())
+    for (view, frame) in views.iter_mut().zip(frames) {
+        let Camera { width, height, .. } = view.camera;
+        let (image, mask) = (Image { width, height, pixels: frame.color }, frame.alpha);
+        view.photograph = Some(Photograph::of_image(&image));
+        view.mask = Some(StoredMask::new(&Mask { width, height, coverage: mask }));
+    }
+    Ok(views)
 }
 
 /// The views of [`take`] with photographs that are not rendered, for checks that look at no pixel.
-///
-/// # Errors
-/// If a camera cannot be used.
 pub(crate) fn imagine(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewRecord>> {
+    // The placements in turn.
+    let rounds = spec.truth.rounds() as u32;
     let view = |(spec, placement): (CameraSpec, Placement)| {
         let camera = camera_of(&spec)?;
         let photograph = Some(Photograph::without_pixels(camera.width, camera.height));
         Ok(ViewRecord { photograph, placement, ..ViewRecord::of_camera(spec.name, spec.split, camera) })
     };
-    ring(&spec.cameras, scene.up).into_iter().zip(placements_in_turn(spec)).map(view).collect()
-}
-
-/// Rotations of the object in the rounds of photographs.
-fn rounds(spec: &Photographed) -> Vec<Mat3> {
-    let others = spec.truth.placements.iter().map(|degrees| Mat3::from_quat(rotation(*degrees)));
-    std::iter::once(Mat3::IDENTITY).chain(others).collect()
-}
-
-/// The placement that each view shows.
-fn placements_in_turn(spec: &Photographed) -> impl Iterator<Item = Placement> + use<> {
-    let rounds = spec.truth.rounds() as u32;
-    (0..).map(move |view| Placement(view % rounds))
+    ring(&spec.cameras, scene.up).into_iter().zip((0..).map(|i| Placement(i % rounds))).map(view).collect()
 }
 
 /// Cameras distributed over a sphere around the target; every n-th is a test view, so that test views lie between the others.
@@ -221,7 +190,6 @@ fn up_across(up: Vec3, sight: Vec3) -> Vec3 {
     }
 }
 
-/// The color of the pattern at a point.
 fn pattern_at(pattern: &Pattern, at: Vec3) -> Vec3 {
     match pattern {
         Pattern::Constant(color) => *color,
@@ -241,7 +209,6 @@ fn pattern_at(pattern: &Pattern, at: Vec3) -> Vec3 {
     }
 }
 
-/// The camera that a scene describes.
 pub(super) fn camera_of(spec: &CameraSpec) -> Result<Camera> {
     Camera::look_at(spec.eye, spec.target, spec.up, spec.fov_degrees, spec.width, spec.height)
 }
@@ -257,11 +224,5 @@ mod tests {
         let test: Vec<usize> = (0..13).filter(|i| cameras[*i].split == Split::Test).collect();
         assert_eq!(test.len(), 3);
         assert!(test.iter().all(|i| *i > 0 && *i < 12));
-    }
-
-    #[test]
-    fn checkers_alternate_across_the_origin() {
-        let pattern = Pattern::Checker { colors: (Vec3::ZERO, Vec3::ONE), size: 0.5 };
-        assert_ne!(pattern_at(&pattern, Vec3::splat(0.1)), pattern_at(&pattern, Vec3::new(-0.1, 0.1, 0.1)));
     }
 }

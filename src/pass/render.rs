@@ -1,62 +1,51 @@
-//! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that `show` swaps in.
+//! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that `show` swaps
+//! in, as views and as films, in which camera, light and material change.
 
-use crate::codec::animation::{write_apng, write_gif};
-use crate::codec::exr_frame::{Frame, write_frame_rows_with};
-use crate::codec::file::file_stems;
-use crate::codec::film::{Film, FilmRecorder};
-use crate::codec::video::has_frames_of;
-use crate::error::Result;
-use crate::error::stop::check_interrupted;
-use crate::light::lights::IncidentLight;
-use crate::light::placement::PicturePlacement;
-use crate::math::color::srgb_from_linear;
-use crate::math::ray::Illuminate;
-use crate::pass::film;
-use crate::pass::placements::show_placement;
-use crate::pass::progress::Bar;
-use crate::pass::session::Session;
-use crate::pass::shading::camera_rays;
-use crate::pass::show::show;
-use crate::pipeline::Pipeline;
-use crate::profile::stage;
+use crate::pass::show::{camera_rays, chosen_light, show, show_placement};
+use crate::pass::{run::progress::Bar, run::session::Session};
 use crate::report::tone::{Backdrop, Look, Picture, write_png_rows};
-use crate::sample::bundle::despawn_pool;
-use crate::scene::{Orbit, OrbitFormat, Pass, RenderSettings, Shading, ViewChoice};
-use crate::shade::adaptive::render_adaptive;
-use crate::shade::frame::{band_rows, render_bands, render_denoised};
-use crate::view::camera::Camera;
-use crate::view::{Split, ViewName};
-use bevy_ecs::prelude::{Entity, World};
-use glam::Vec3;
+use crate::scene::{
+    Easing, LightSweep, MaterialSweep, Orbit, OrbitKey, Pass, RenderSettings, Shading, ViewChoice,
+};
+use bevy_ecs::prelude::{Component, Entity, With, World};
+use glam::{Quat, Vec3};
 use image::RgbImage;
+use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
+use lobelia_geometry::view::camera::{self, Camera};
+use lobelia_geometry::view::{Frame, Split, ViewName};
+use lobelia_io::codec::film::{FFMPEG, write_film};
+use lobelia_io::codec::{exr_frame::write_frame_rows, file::file_stems, png_file::write_rgb8};
+use lobelia_sg::color::srgb_from_linear;
+use lobelia_solve::shade::adaptive::render_adaptive;
+use lobelia_solve::shade::frame::{band_rows, render_bands};
+use lobelia_world::light::lights::{IncidentLight, provide_turned_light};
+use lobelia_world::light::placement::PicturePlacement;
+use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditTarget};
+use lobelia_world::material::shown::show_edited;
+use lobelia_world::pipeline::{Phase, Pipeline, Slot};
+use lobelia_world::sample::despawn_pool;
 use rayon::prelude::*;
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::sync_channel;
+use tracing::info_span;
 
 /// Stem of the files of a film.
 const FILM: &str = "orbit";
-/// The film as a video.
-const FILM_MP4: &str = "orbit.mp4";
-/// What a picture whose noise is filtered away says in its file.
-const DENOISED: &str = "Denoised: the noise of path tracing is filtered away, at the price of a small bias.";
 /// The folder of a film's frames, where they stay.
-pub(crate) const FRAMES: &str = "orbit_frames";
+const FRAMES: &str = "orbit_frames";
 
 /// Runs one of the three passes.
-///
-/// # Errors
-/// If an edit's image cannot be read, a system fails, or a picture cannot be written.
 pub(crate) fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
     show(session, pass, settings)?;
-    render_all(session, pass, settings)
-}
-
-fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
     let name = pass.name();
     let folder = session.folder(name);
     let views = chosen_views(&mut session.pipeline.world, settings);
-    let orbit = settings.orbit.as_ref().map(|orbit| film::cameras(session, orbit)).transpose()?;
-    let frames = orbit.as_ref().map_or(0, Vec::len);
+    let film = match &settings.orbit {
+        Some(orbit) => Some((orbit, cameras(session, orbit)?)),
+        None => None,
+    };
+    let frames = film.as_ref().map_or(0, |(_, cameras)| cameras.len());
     let bar = session.progress.bar(name, (views.len() + frames) as u64);
     for view in &views {
         check_interrupted()?;
@@ -64,56 +53,54 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
         let written = write_view(&mut session.pipeline, &folder, view, settings);
         session.pipeline.world.remove_resource::<PicturePlacement>();
         written?;
-        session.last_picture = Some(folder.join(format!("{}.png", view.stem)));
         bar.inc(1);
     }
-    if let (Some(orbit), Some(cameras)) = (&settings.orbit, &orbit) {
-        let rendered = render_film(session, pass, settings, cameras, &*bar);
-        film::sweep_material(&mut session.pipeline.world, name, []);
+    if let Some((orbit, cameras)) = &film {
+        let rendered = render_film(session, pass, settings, (orbit, cameras), &*bar);
+        sweep_material(&mut session.pipeline.world, name, []);
         despawn_pool(&mut session.pipeline.world);
-        let _writing = stage("film written");
-        write_film(&folder, orbit, rendered?)?;
+        let _writing = info_span!("film written").entered();
+        let film = write_film(&folder.join(FILM), &rendered?, orbit.fps)?;
+        if film.extension() == Some("gif".as_ref()) {
+            let note = format!("the film is a GIF; with `{FFMPEG}` on the PATH it is an MP4");
+            session.progress.note(&note);
+        }
     }
     bar.finish_and_clear();
     let film = if frames > 0 { format!(", {frames} film frames") } else { String::new() };
-    let filtered =
-        if settings.is_denoised() { ", denoised (noise filtered away, slightly biased)" } else { "" };
-    session.progress.print(&format!("{name}: {} views{film}{filtered}", views.len()));
+    session.progress.print(&format!("{name}: {} views{film}", views.len()));
     Ok(())
 }
 
-/// Renders the frames of a film, which are written meanwhile.
+/// Renders the frames of a film; a thread writes each as a PNG file while the next one is rendered. Returns the files.
 fn render_film(
     session: &mut Session,
     pass: &Pass,
     settings: &RenderSettings,
-    cameras: &[Camera],
+    (orbit, cameras): (&Orbit, &[Camera]),
     bar: &dyn Bar,
-) -> Result<Film> {
-    let orbit = settings.orbit.clone().unwrap_or_default();
-    let folder = session.folder(pass.name());
-    let mut film = match orbit.format {
-        OrbitFormat::Gif | OrbitFormat::Apng => FilmRecorder::new(&folder)?,
-        OrbitFormat::Frames => FilmRecorder::kept(folder.join(FRAMES), orbit.rendered().start as usize),
-        OrbitFormat::Mp4 => FilmRecorder::without_files(),
-    };
-    if let Some(comment) = comment_on(settings) {
-        film = film.with_comment(comment);
-    }
-    if orbit.part.is_some() {
-        // Its frames are of a film that is joined later.
-    } else if has_frames_of(orbit.sides()) {
-        film = film.with_video(orbit.fps);
-    } else {
-        session.progress.note("no MP4 has frames as large as these, so there is no orbit.mp4");
-    }
-    for (frame, camera) in orbit.rendered().zip(cameras) {
-        check_interrupted()?;
-        film::show_moment(session, pass, settings, &orbit, frame);
-        film.push(film_frame(&mut session.pipeline, *camera, settings)?)?;
-        bar.inc(1);
-    }
-    film.finish()
+) -> Result<Vec<PathBuf>> {
+    let folder = session.folder(pass.name()).join(FRAMES);
+    let files: Vec<PathBuf> =
+        (0..cameras.len()).map(|frame| folder.join(format!("{frame:06}.png"))).collect();
+    let failed = |what: &str| Error::run("making a film", what);
+    std::thread::scope(|scope| {
+        let (sender, waiting) = sync_channel::<(&PathBuf, RgbImage)>(1);
+        let writer =
+            scope.spawn(move || waiting.into_iter().try_for_each(|(file, frame)| write_rgb8(file, &frame)));
+        let rendered = (0..).zip(cameras).zip(&files).try_for_each(|((frame, camera), file)| {
+            check_interrupted()?;
+            show_moment(session, pass, settings, orbit, frame);
+            let frame = film_frame(&mut session.pipeline, *camera, settings)?;
+            bar.inc(1);
+            // A writer that has failed says why below.
+            sender.send((file, frame)).map_err(|_| failed("a frame could not be written"))
+        });
+        drop(sender);
+        let written = writer.join().unwrap_or_else(|_| Err(failed("its thread has failed")));
+        written.and(rendered)
+    })?;
+    Ok(files)
 }
 
 /// A view that a pass renders.
@@ -121,11 +108,8 @@ fn render_film(
 pub(crate) struct ChosenView {
     /// Stem of its output files: the name of the view, prefixed by its split if both splits have a view with that name.
     pub stem: String,
-    /// The name of the view.
     pub name: String,
-    /// The view.
     pub entity: Entity,
-    /// Its camera.
     pub camera: Camera,
 }
 
@@ -178,9 +162,8 @@ fn write_view(
     let path = |ending: &str| folder.join(format!("{}.{ending}", view.stem));
     let camera = view.camera;
     let size = [camera.width, camera.height];
-    let comment = comment_on(settings);
-    write_frame_rows_with(path("exr"), size.map(|side| side as usize), comment, |layers| {
-        write_png_rows(path("png"), size, !settings.backdrop, comment, |colors| {
+    write_frame_rows(path("exr"), size.map(|side| side as usize), |layers| {
+        write_png_rows(path("png"), size, !settings.backdrop, |colors| {
             bands(pipeline, camera, settings, Backdrop::Transparent, &mut |frame, samples| {
                 layers.push(frame)?;
                 colors.push(samples)
@@ -189,10 +172,9 @@ fn write_view(
     })
 }
 
-/// A frame of a film.
 fn film_frame(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSettings) -> Result<RgbImage> {
     let mut picture = Vec::with_capacity(3 * camera.width as usize * camera.height as usize);
-    // Animations have no alpha: the backdrop is dark gray.
+    // Films have no alpha: the backdrop is dark gray.
     let gray = Backdrop::Solid(Vec3::splat(0.02));
     if matches!(settings.shading, Shading::PathTraced { .. }) {
         bands(pipeline, camera, settings, gray, &mut |_, samples| {
@@ -213,11 +195,6 @@ fn film_frame(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSettings
     Ok(RgbImage::from_raw(camera.width, camera.height, picture).expect("its bands have all rows"))
 }
 
-/// What pictures of a pass say about themselves.
-fn comment_on(settings: &RenderSettings) -> Option<&'static str> {
-    settings.is_denoised().then_some(DENOISED)
-}
-
 fn look_of(settings: &RenderSettings) -> Look {
     Look { exposure: settings.exposure, tone: settings.tone }
 }
@@ -231,8 +208,17 @@ fn encoded(
     first_row: u32,
     rows: &Picture,
 ) -> Result<Vec<u8>> {
-    let _writing = stage("pixels encoded");
-    let behind = settings.backdrop.then(|| backdrop(world, camera, first_row, rows.height as u32));
+    let _writing = info_span!("pixels encoded").entered();
+    // The radiance of the light behind each pixel.
+    let light = world.get_resource::<IncidentLight>().and_then(|light| light.distant.clone());
+    let width = u64::from(camera.width);
+    let radiance = |at: u64| {
+        let (x, y) = ((at % width) as u32, first_row + (at / width) as u32);
+        let ray = camera.ray(x as f32 + 0.5, y as f32 + 0.5);
+        light.as_ref().map_or(Vec3::ZERO, |light| light.radiance(ray.direction))
+    };
+    let all = || (0..rows.height as u64 * width).into_par_iter().map(radiance).collect::<Vec<_>>();
+    let behind = settings.backdrop.then(all);
     rows.samples8(&look_of(settings), behind.as_deref().map_or(plain, Backdrop::Radiance))
 }
 
@@ -245,52 +231,200 @@ fn bands(
     take: &mut dyn FnMut(&Frame, &[u8]) -> Result<()>,
 ) -> Result<()> {
     let (rays, rows) = (camera_rays(settings), band_rows([camera.width, camera.height]));
-    let mut hand_on = |world: &World, first_row: u32, frame: &Frame| {
+    render_bands(pipeline, camera, rays, rows, &mut |world, first_row, frame| {
         check_interrupted()?;
         take(frame, &encoded(world, &camera, settings, plain, first_row, &Picture::of(frame))?)
-    };
-    if !settings.is_denoised() {
-        return render_bands(pipeline, camera, rays, rows, &mut hand_on);
-    }
-    // The filter reaches far, and needs the whole picture.
-    let frame = render_denoised(pipeline, camera, rays)?;
-    (0..camera.height).step_by(rows as usize).try_for_each(|first| {
-        let end = first.saturating_add(rows).min(camera.height);
-        hand_on(&pipeline.world, first, &frame.band(first as usize..end as usize))
     })
 }
 
-/// The radiance of the light behind each pixel of some rows.
-fn backdrop(world: &World, camera: &Camera, first_row: u32, rows: u32) -> Vec<Vec3> {
-    let light = world.get_resource::<IncidentLight>().and_then(|light| light.distant.clone());
-    let radiance = |x: u32, y: u32| {
-        let ray = camera.ray(x as f32 + 0.5, y as f32 + 0.5);
-        light
-            .as_ref()
-            .map_or(Vec3::ZERO, |light: &std::sync::Arc<dyn Illuminate>| light.radiance(ray.direction))
+/// The files that a film may have; one that ends with `/` is a folder.
+pub(crate) fn film_files() -> [String; 3] {
+    [format!("{FILM}.mp4"), format!("{FILM}.gif"), format!("{FRAMES}/")]
+}
+
+/// The time of a frame, in two measures.
+#[derive(Clone, Copy, Debug)]
+struct Time {
+    /// From 0 at the first frame to 1 at the last.
+    done: f32,
+    /// From 0 at the first frame to 1 one frame after the last: what turns evenly goes on without a break.
+    turned: f32,
+}
+
+impl Time {
+    fn of(frame: u32, frames: u32) -> Self {
+        let part = |of: u32| frame as f32 / of.max(1) as f32;
+        Self { done: part(frames.saturating_sub(1)), turned: part(frames) }
+    }
+}
+
+/// The cameras of the frames of a film.
+fn cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
+    let (center, size) = session.surface.bounding_sphere();
+    let [width, height] = orbit.sides();
+    // A tenth more than the smallest distance at which the object fits, also into a picture that is higher than wide.
+    let half_fov = (orbit.fov_degrees.to_radians() / 2.0).tan() * (width as f32 / height as f32).min(1.0);
+    let fitting = 1.1 * size / half_fov.atan().sin();
+    let base = camera::CameraOrbit {
+        target: center,
+        radius: orbit.radius.unwrap_or(fitting),
+        elevation_degrees: orbit.elevation_degrees,
+        frames: 1,
+        up: session.scene.up,
+        vertical_fov_degrees: orbit.fov_degrees,
+        width,
+        height,
+        ..Default::default()
     };
-    let pixels = u64::from(rows) * u64::from(camera.width);
-    let place = |at: u64| (at % u64::from(camera.width), at / u64::from(camera.width));
-    let places = (0..pixels).into_par_iter().map(place);
-    places.map(|(x, y)| radiance(x as u32, first_row + y as u32)).collect()
+    let each = |frame| Ok(Camera::orbit(&placed(base, orbit, Time::of(frame, orbit.frames)))?[0]);
+    (0..orbit.frames).map(each).collect()
 }
 
-/// The files of a film; one that ends with `/` is a folder.
-pub(crate) fn film_files(format: OrbitFormat) -> Vec<String> {
-    match format {
-        OrbitFormat::Gif => vec![format!("{FILM}.gif"), FILM_MP4.to_owned()],
-        OrbitFormat::Apng => vec![format!("{FILM}.png"), FILM_MP4.to_owned()],
-        OrbitFormat::Mp4 => vec![FILM_MP4.to_owned()],
-        OrbitFormat::Frames => vec![FILM_MP4.to_owned(), format!("{FRAMES}/")],
+/// The orbit of one camera at a time.
+fn placed(base: camera::CameraOrbit, orbit: &Orbit, time: Time) -> camera::CameraOrbit {
+    let value = |pick: fn(&OrbitKey) -> Option<f32>| between_keys(&orbit.keys, pick, time.done);
+    camera::CameraOrbit {
+        start_degrees: value(|key| key.angle_degrees).unwrap_or(360.0 * time.turned),
+        elevation_degrees: value(|key| key.elevation_degrees).unwrap_or(base.elevation_degrees),
+        radius: value(|key| key.radius).unwrap_or(base.radius),
+        ..base
     }
 }
 
-fn write_film(folder: &Path, orbit: &Orbit, mut film: Film) -> Result<()> {
-    let (fps, path) = (orbit.fps as f32, |ending: &str| folder.join(format!("{FILM}.{ending}")));
-    match orbit.format {
-        OrbitFormat::Gif => write_gif(path("gif"), &film, fps)?,
-        OrbitFormat::Apng => write_apng(path("png"), &film, fps)?,
-        OrbitFormat::Mp4 | OrbitFormat::Frames => {}
+/// The value at a time, between the keys that give it; `None` if none does.
+fn between_keys(keys: &[OrbitKey], pick: impl Fn(&OrbitKey) -> Option<f32>, time: f32) -> Option<f32> {
+    let given: Vec<(&OrbitKey, f32)> = keys.iter().filter_map(|key| Some((key, pick(key)?))).collect();
+    let next = given.iter().position(|(key, _)| key.at > time);
+    match next {
+        None => given.last().map(|(_, value)| *value),
+        Some(0) => Some(given[0].1),
+        Some(next) => {
+            let ((from, start), (to, end)) = (given[next - 1], given[next]);
+            let part = to.easing.at((time - from.at) / (to.at - from.at));
+            Some(start + (end - start) * part)
+        }
     }
-    film.take_video().map_or(Ok(()), |video| video.write(&folder.join(FILM_MP4)))
+}
+
+/// Swaps in the light of a frame, and edits the material, if the film changes them. [`sweep_material`] without factors ends it.
+fn show_moment(session: &mut Session, pass: &Pass, settings: &RenderSettings, orbit: &Orbit, frame: u32) {
+    let time = Time::of(frame, orbit.frames);
+    if let Some(sweep) = &orbit.light {
+        let (choice, by_map) = chosen_light(session, pass, settings.shading);
+        let turn = light_turn(sweep, session.scene.up, time);
+        session.pipeline.swap(Phase::Frame, Slot::Light, provide_turned_light(choice, by_map, turn));
+    }
+    if let Some(sweep) = &orbit.material {
+        if frame == 0 {
+            session.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
+        }
+        sweep_material(&mut session.pipeline.world, pass.name(), factors(sweep, time));
+    }
+}
+
+/// Marks the edits by which a film changes the material, until its next frame.
+#[derive(Component)]
+struct Swept;
+
+/// Replaces the swept edits by `factors`, after all other edits of the pass; each has its own target, so that they need no order.
+fn sweep_material(
+    world: &mut World,
+    pass: &str,
+    factors: impl IntoIterator<Item = (EditTarget, EditAction)>,
+) {
+    let mut query = world.query_filtered::<Entity, With<Swept>>();
+    let old: Vec<Entity> = query.iter(world).collect();
+    old.into_iter().for_each(|edit| _ = world.despawn(edit));
+    for (target, action) in factors {
+        world.spawn((Swept, EditName(pass.to_owned()), EditOrder(u32::MAX), target, action));
+    }
+}
+
+fn light_turn(sweep: &LightSweep, up: Vec3, time: Time) -> Quat {
+    let axis = sweep.axis.unwrap_or(up).normalize_or(Vec3::Y);
+    // A jump is made at the last frame: one frame later nobody would see it.
+    let part = sweep.easing.at(if sweep.easing == Easing::Hold { time.done } else { time.turned });
+    let degrees = sweep.from_degrees + (sweep.to_degrees - sweep.from_degrees) * part;
+    Quat::from_axis_angle(axis, degrees.to_radians())
+}
+
+/// The factors at a time, as edits of the whole object.
+fn factors(sweep: &MaterialSweep, time: Time) -> Vec<(EditTarget, EditAction)> {
+    let part = sweep.easing.at(time.done);
+    let scale = |(from, to): (f32, f32)| EditAction::Scale(Vec3::splat(from + (to - from) * part));
+    vec![
+        (EditTarget::Diffuse, scale(sweep.albedo)),
+        (EditTarget::Specular, scale(sweep.specular)),
+        (EditTarget::Roughness, scale(sweep.roughness)),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn key(at: f32, elevation: Option<f32>, angle: Option<f32>) -> OrbitKey {
+        OrbitKey {
+            at,
+            elevation_degrees: elevation,
+            angle_degrees: angle,
+            easing: Easing::Linear,
+            ..OrbitKey::default()
+        }
+    }
+
+    #[test]
+    fn each_value_goes_between_the_keys_that_give_it() {
+        let keys = [key(0.2, Some(10.0), None), key(0.5, None, Some(90.0)), key(0.6, Some(50.0), None)];
+        let elevation = |time| between_keys(&keys, |key| key.elevation_degrees, time).unwrap();
+        assert_eq!([0.0, 0.2, 1.0].map(elevation), [10.0, 10.0, 50.0]);
+        assert!((elevation(0.3) - 20.0).abs() < 1e-4);
+        assert_eq!(between_keys(&keys, |key| key.angle_degrees, 0.9), Some(90.0));
+        assert_eq!(between_keys(&keys, |key| key.radius, 0.9), None);
+        let jump = [key(0.5, Some(1.0), None), key(0.5, Some(2.0), None)];
+        assert_eq!(between_keys(&jump, |key| key.elevation_degrees, 0.5), Some(2.0));
+    }
+
+    #[test]
+    fn without_keys_a_film_is_one_even_turn() {
+        let base = camera::CameraOrbit { elevation_degrees: 20.0, radius: 3.0, ..Default::default() };
+        let orbit = Orbit { frames: 8, ..Orbit::default() };
+        let at = |frame| placed(base, &orbit, Time::of(frame, 8));
+        assert_eq!((at(0).start_degrees, at(2).start_degrees, at(7).start_degrees), (0.0, 90.0, 315.0));
+        assert_eq!((at(3).elevation_degrees, at(3).radius), (20.0, 3.0));
+        let keyed = Orbit { keys: vec![key(0.0, Some(0.0), Some(5.0)), key(1.0, Some(70.0), None)], ..orbit };
+        let last = placed(base, &keyed, Time::of(7, 8));
+        assert_eq!((last.start_degrees, last.elevation_degrees), (5.0, 70.0));
+    }
+
+    #[test]
+    fn light_and_material_go_from_their_first_to_their_last_values() {
+        let sweep = LightSweep::default();
+        let quarter = light_turn(&sweep, Vec3::Y * 2.0, Time::of(15, 60));
+        assert!((quarter * Vec3::Z).distance(Vec3::X) < 1e-5);
+        let held = LightSweep { to_degrees: 90.0, easing: Easing::Hold, ..sweep };
+        let turned = |frame| light_turn(&held, Vec3::Y, Time::of(frame, 60)) * Vec3::Z;
+        assert!(turned(58) == Vec3::Z && turned(59).distance(Vec3::X) < 1e-5, "{}", turned(59));
+        let sweep = MaterialSweep { roughness: (0.5, 2.0), ..MaterialSweep::default() };
+        let at = |frame| factors(&sweep, Time::of(frame, 4))[2].1.clone();
+        assert_eq!(at(0), EditAction::Scale(Vec3::splat(0.5)));
+        assert_eq!(at(3), EditAction::Scale(Vec3::splat(2.0)));
+    }
+
+    #[test]
+    fn swept_edits_replace_each_other_and_leave_the_passes_own() {
+        let mut world = World::new();
+        let scale = |factor| (EditTarget::Roughness, EditAction::Scale(Vec3::splat(factor)));
+        world.spawn((EditName("aged".into()), EditOrder(0), EditTarget::Roughness, scale(0.5).1));
+        let mut after = |factors: Vec<(EditTarget, EditAction)>| {
+            sweep_material(&mut world, "aged", factors);
+            let mut query = world.query::<(&EditName, &EditOrder, &EditAction)>();
+            let mut edits: Vec<_> = query.iter(&world).filter(|(name, ..)| name.0 == "aged").collect();
+            edits.sort_by_key(|(_, order, _)| **order);
+            edits.into_iter().map(|(.., action)| action.clone()).collect::<Vec<_>>()
+        };
+        assert_eq!(after(vec![scale(2.0)]), [scale(0.5).1, scale(2.0).1]);
+        assert_eq!(after(vec![scale(3.0)]), [scale(0.5).1, scale(3.0).1]);
+        assert_eq!(after(Vec::new()), [scale(0.5).1]);
+    }
 }

@@ -1,44 +1,37 @@
 //! The `Save` pass: writes the object as a scene file.
 
-use crate::codec::exr::ExrLayers;
-use crate::codec::exr_frame::write_channels;
-use crate::codec::file::{read_bytes, write_bytes};
-use crate::codec::gltf::export::write_glb;
-use crate::codec::nearby::missing_file_help;
-use crate::codec::npy::{NpyConvention, write_lobes};
-use crate::dataset::Priors;
-use crate::error::{Error, Result};
-use crate::fit::cameras::CameraFit;
-use crate::light::LightLobe;
-use crate::light::groups::lobes_of_group;
-use crate::light::light_frame::OwnLightFrame;
-use crate::light::lights::own_lobes;
-use crate::light::placement::{PlacementTurn, Placements, TurnSource};
-use crate::material::edit::MaterialState;
-use crate::material::sheen::has_sheen;
-use crate::material::tilt::has_tilt;
-use crate::material::{SpecularBlend, SpecularLobe};
-use crate::mesh::atlas::TexelAtlas;
-use crate::pass::photograph::ring;
-use crate::pass::session::Session;
-use crate::pass::show::material_of;
-use crate::scene::Pass;
-use crate::scene::SavePass;
-use crate::scene::load::to_ron;
+use crate::pass::{photograph::ring, run::session::Session, show::material_of};
 use crate::scene::{
-    Albedo, AlbedoSource, Dataset, Gloss, Light, LightSource, Material, PlacementLight, PlacementSpec,
-    Roughness, Scene, Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt, Views,
+    Albedo, AlbedoSource, Dataset, Gloss, Light, LightSource, Material, Pass, PlacementLight, PlacementSpec,
+    Roughness, SavePass, Scene, Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt, Views,
+    load::to_ron,
 };
-use crate::spawn::light_file::{angles, inlined};
+use crate::spawn::light::{angles, inlined};
 use glam::Vec3;
+use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::mesh::atlas::TexelAtlas;
+use lobelia_io::codec::file::{read_bytes, write_bytes};
+use lobelia_io::codec::npy::{NpyConvention, write_lobes};
+use lobelia_io::codec::{
+    exr::ExrLayers, exr_frame::write_channels, gltf::export::write_glb, nearby::missing_file_help,
+};
+use lobelia_io::dataset::Priors;
+use lobelia_solve::fit::cameras::CameraFit;
+use lobelia_world::light::placement::{PlacementTurn, Placements, TurnSource};
+use lobelia_world::light::{
+    LightLobe, groups::lobes_of_group, light_frame::OwnLightFrame, lights::own_lobes,
+};
+use lobelia_world::material::{
+    SpecularBlend, SpecularLobe, edit::MaterialState, sheen::has_sheen, tilt::has_tilt,
+};
 use std::ffi::OsStr;
 use std::path::Path;
 
+/// Channels of colors.
+pub(crate) const RGB: [&str; 3] = ["R", "G", "B"];
+
 /// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object with the recovered material and light, or those of the pass `of`,
 /// all fixed, with the scene's views (without the optimized poses of training views).
-///
-/// # Errors
-/// If a file cannot be written.
 pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     let folder = session.folder(&pass.name);
     let material = material_of(session, pass.of.as_deref())?;
@@ -46,8 +39,19 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     let atlas = surface.atlas();
     write_glb(&folder.join("mesh.glb"), surface.mesh(), None)?;
     let material = write_material(&folder, &material, atlas)?;
-    let light = save_light(session, pass.of.as_deref(), &folder)?;
-    let relit = session.pass_named(pass.of.as_deref()).is_some_and(|of| of.light().is_some());
+    // The light of the pass `of` if it has one.
+    let of_pass = session.pass_named(pass.of.as_deref()).and_then(Pass::light);
+    let relit = of_pass.is_some();
+    let fixed = match &session.scene.light {
+        Light::Fixed(source) => Some(source),
+        Light::Unknown(_) | Light::Initial(_) => None,
+    };
+    let given = of_pass.or(fixed).cloned();
+    let lobes = match session.pass_lights.get(pass.of.as_deref().unwrap_or_default()) {
+        Some(light) => light.lobes.clone(),
+        None => own_lobes(&mut session.pipeline.world),
+    };
+    let light = save_source(given, &lobes, &folder, "light")?;
     let own = session.pipeline.world.get_resource::<OwnLightFrame>().filter(|_| !relit);
     let frame = own.map(|own| own.0).unwrap_or_default();
     let saved = Scene {
@@ -71,101 +75,74 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
 }
 
 /// Writes the textures of a material into a folder; returns it as in a scene file there, all fixed. The material may be the
-/// [recovered](crate::material::shown::recovered_material) or the [shown](crate::shade::frame::frame_material) one.
+/// [recovered](lobelia_world::material::shown::recovered_material) or the [shown](lobelia_solve::shade::frame::frame_material) one.
 ///
 /// # Errors
 /// If a file cannot be written.
 pub fn write_material(folder: &Path, material: &MaterialState, atlas: &TexelAtlas) -> Result<Material> {
-    let colors: Vec<Vec3> = material.albedo.iter().map(|a| a.0).collect();
-    write_vectors(&folder.join("albedo.exr"), ["R", "G", "B"], &colors, atlas)?;
-    Ok(Material {
-        albedo: Albedo::Fixed(AlbedoSource::Texture("albedo.exr".into())),
-        sheen: save_sheen(material, atlas, folder)?,
-        tilt: save_tilt(material, atlas, folder)?,
-        ..save_materials(material, atlas, folder)?
-    })
+    let write = |name: &str, channels: [&str; 3], values: &[Vec3]| {
+        write_vectors(&folder.join(name), channels, values, atlas).map(|()| name.into())
+    };
+    let albedo: Vec<Vec3> = material.albedo.iter().map(|albedo| albedo.0).collect();
+    let mut saved = Material {
+        albedo: Albedo::Fixed(AlbedoSource::Texture(write("albedo.exr", RGB, &albedo)?)),
+        sheen: Sheen::None,
+        tilt: Tilt::None,
+        ..Material::default()
+    };
+    if has_sheen(&material.sheen) {
+        let along: Vec<Vec3> = albedo.iter().zip(&material.sheen).map(|(a, sheen)| *a + sheen.0).collect();
+        saved.sheen = Sheen::Fixed(AlbedoSource::Texture(write("albedo_along.exr", RGB, &along)?));
+    }
+    if has_tilt(&material.tilt) {
+        let tilt: Vec<Vec3> = material.tilt.iter().map(|tilt| tilt.0).collect();
+        saved.tilt = Tilt::Fixed(write("albedo_tilt.exr", ["X", "Y", "Z"], &tilt)?);
+    }
+    if let Some(one) = material.uniform() {
+        saved.specular = Specular {
+            albedo: SpecularAlbedo::Fixed(one.albedo),
+            roughness: Roughness::Fixed(one.roughness),
+            ndf: one.ndf.into(),
+        };
+    } else {
+        // Base materials of a scene are numbered from 0: unused numbers are left out.
+        let (numbers, lobes): (Vec<usize>, Vec<SpecularLobe>) =
+            material.materials().map(|(number, lobe)| (number, *lobe)).unzip();
+        let weights = "blend.exr";
+        write_weights(&folder.join(weights), &material.blends, &numbers, atlas)?;
+        saved.gloss = Gloss::Fixed { lobes, weights: weights.into() };
+    }
+    Ok(saved)
 }
 
 /// Writes a vector for each texel, as channels of these names.
-fn write_vectors(path: &Path, names: [&str; 3], values: &[Vec3], atlas: &TexelAtlas) -> Result<()> {
+pub(crate) fn write_vectors(
+    path: &Path,
+    names: [&str; 3],
+    values: &[Vec3],
+    atlas: &TexelAtlas,
+) -> Result<()> {
     let mut texture = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
     texture.insert_triple(names, values);
     write_channels(path, &texture)
 }
 
-/// The sheen as in a scene file: the albedo along the surface goes to a separate file.
-fn save_sheen(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Result<Sheen> {
-    if !has_sheen(&material.sheen) {
-        return Ok(Sheen::None);
-    }
-    let along = material.albedo.iter().zip(&material.sheen).map(|(albedo, sheen)| albedo.0 + sheen.0);
-    write_vectors(&folder.join("albedo_along.exr"), ["R", "G", "B"], &along.collect::<Vec<_>>(), atlas)?;
-    Ok(Sheen::Fixed(AlbedoSource::Texture("albedo_along.exr".into())))
-}
-
-/// The tilt as in a scene file; its vectors go to a separate file.
-fn save_tilt(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Result<Tilt> {
-    if !has_tilt(&material.tilt) {
-        return Ok(Tilt::None);
-    }
-    let tilt: Vec<Vec3> = material.tilt.iter().map(|tilt| tilt.0).collect();
-    write_vectors(&folder.join("albedo_tilt.exr"), ["X", "Y", "Z"], &tilt, atlas)?;
-    Ok(Tilt::Fixed("albedo_tilt.exr".into()))
-}
-
-/// The specular material as in a scene file; the weights of several base materials go to a separate file.
-fn save_materials(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Result<Material> {
-    if let Some(one) = material.uniform() {
-        let specular = Specular {
-            albedo: SpecularAlbedo::Fixed(one.albedo),
-            roughness: Roughness::Fixed(one.roughness),
-            ndf: one.ndf.into(),
-        };
-        return Ok(Material { specular, ..Material::default() });
-    }
-    // Base materials of a scene are numbered from 0: unused numbers are left out.
-    let (numbers, lobes): (Vec<usize>, Vec<SpecularLobe>) =
-        material.materials().map(|(number, lobe)| (number, *lobe)).unzip();
-    let path = folder.join("blend.exr");
-    write_weights(&path, &material.blends, &numbers, atlas.width, atlas.height)?;
-    Ok(Material { gloss: Gloss::Fixed { lobes, weights: "blend.exr".into() }, ..Material::default() })
-}
-
-/// Writes the blend weights of the base materials with these numbers for [`read_weights`](crate::codec::texture::read_weights).
-///
-/// # Errors
-/// [`Error::Io`] if the file cannot be written.
+/// Writes the blend weights of the base materials with these numbers for [`read_weights`](lobelia_io::codec::texture::read_weights).
 pub(crate) fn write_weights(
     path: &Path,
     blends: &[SpecularBlend],
     numbers: &[usize],
-    width: u32,
-    height: u32,
+    atlas: &TexelAtlas,
 ) -> Result<()> {
-    let mut layers = ExrLayers { width, height, ..ExrLayers::default() };
+    let mut layers = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
     for (place, k) in numbers.iter().enumerate() {
         layers.channels.insert(format!("weight{place}"), blends.iter().map(|blend| blend.0[*k]).collect());
     }
     write_channels(path, &layers)
 }
 
-/// Writes the light, of the pass `of` if it has one: a map unchanged, so that path tracing with the map gives the same result; else
-/// the lobes.
-fn save_light(session: &mut Session, of: Option<&str>, folder: &Path) -> Result<LightSource> {
-    let of_pass = session.pass_named(of).and_then(Pass::light);
-    let fixed = match &session.scene.light {
-        Light::Fixed(source) => Some(source),
-        Light::Unknown(_) | Light::Initial(_) => None,
-    };
-    let given = of_pass.or(fixed).cloned();
-    let lobes = match session.lights.of_passes.get(of.unwrap_or_default()) {
-        Some(light) => light.lobes.clone(),
-        None => own_lobes(&mut session.pipeline.world),
-    };
-    save_source(given, &lobes, folder, "light")
-}
-
-/// Writes a light: the map that it is given by, or its lobes.
+/// Writes a light: the map that it is given by, unchanged, so that path tracing with it gives the same
+/// result, or else its lobes.
 fn save_source(
     given: Option<LightSource>,
     lobes: &[LightLobe],

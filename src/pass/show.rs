@@ -1,25 +1,36 @@
-//! The material, light and shading of frames. Each is one system in a slot of the Frame phase, and a pass swaps them;
-//! the recovered material and the scene's own light do not change.
+//! The material, light and shading of frames. Each is one system in a slot of the Frame phase, and a pass
+//! swaps them; the recovered material and the scene's own light do not change.
 
-use crate::error::Result;
-use crate::light::lights::{LightChoice, provide_light, spawn_light};
-use crate::material::edit::MaterialState;
-use crate::material::shown::{recovered_material, show_edited, show_recovered};
-use crate::pass::edit::spawn_edits;
-use crate::pass::session::Session;
-use crate::pass::shading::set_shading;
-use crate::pipeline::{Phase, Slot};
-use crate::scene::{Light, Pass, RenderSettings, Shading};
-use crate::shade::frame::frame_material;
-use crate::visibility::FrameVisibilityPlugin;
+use crate::pass::run::session::Session;
+use crate::scene::{
+    ColorAction, DiffuseAction, Edit, Light, Pass, Region, RenderSettings, ScalarAction, Shading,
+};
+use bevy_ecs::prelude::{Entity, World};
+use glam::Vec3;
+use lobelia_geometry::error::Result;
+use lobelia_geometry::mesh::{Surface, atlas::TexelAtlas};
+use lobelia_geometry::view::Placement;
+use lobelia_io::codec::texture::{read_texture, read_texture_mask};
+use lobelia_sg::shading::ClosedForm;
+use lobelia_solve::shade::{PathTracing, frame::frame_material, shade_closed_form, shade_path_traced};
+use lobelia_solve::visibility::FrameVisibilityPlugin;
+use lobelia_world::light::lights::{LightChoice, provide_light, spawn_light};
+use lobelia_world::light::placement::{PicturePlacement, Placements};
+use lobelia_world::material::edit::{
+    EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit,
+};
+use lobelia_world::material::shown::{recovered_material, show_edited, show_recovered};
+use lobelia_world::pipeline::{Phase, Pipeline, Slot};
+use rayon::prelude::*;
 
 /// Swaps in the material, light, shading and visibility of a pass.
-///
-/// # Errors
-/// If an image of an edit cannot be read, or visibility needs too much memory.
 pub(crate) fn show(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
     show_material(session, pass)?;
-    show_light(session, pass, settings.shading);
+    if let Some(light) = session.pass_lights.get(pass.name()) {
+        spawn_light(&mut session.pipeline.world, pass.name(), &light.lobes, light.map.clone());
+    }
+    let (choice, by_map) = chosen_light(session, pass, settings.shading);
+    session.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
     set_shading(&mut session.pipeline, settings, session.scene.seed);
     session.pipeline.remove_plugin::<FrameVisibilityPlugin>();
     // The published formulas are for comparison and include neither shadows nor interreflection; path tracing includes both itself.
@@ -40,19 +51,10 @@ fn show_material(session: &mut Session, pass: &Pass) -> Result<()> {
     Ok(())
 }
 
-/// Swaps in the light of a pass: its own, or the light of the scene.
-fn show_light(session: &mut Session, pass: &Pass, shading: Shading) {
-    if let Some(light) = session.lights.of_passes.get(pass.name()) {
-        spawn_light(&mut session.pipeline.world, pass.name(), &light.lobes, light.map.clone());
-    }
-    let (choice, by_map) = chosen_light(session, pass, shading);
-    session.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
-}
-
 /// The light of a pass, and whether path tracing takes its map.
 pub(super) fn chosen_light(session: &Session, pass: &Pass, shading: Shading) -> (LightChoice, bool) {
     let by_map = matches!(shading, Shading::PathTraced { map: true, .. });
-    let choice = match session.lights.of_passes.get(pass.name()) {
+    let choice = match session.pass_lights.get(pass.name()) {
         Some(_) => LightChoice::Named(pass.name().to_owned()),
         None => LightChoice::Own,
     };
@@ -62,9 +64,6 @@ pub(super) fn chosen_light(session: &Session, pass: &Pass, shading: Shading) -> 
 }
 
 /// The material that the pass `of` shows, by the system that it swaps in; or the recovered one.
-///
-/// # Errors
-/// If an image of an edit cannot be read, or a system fails.
 pub(crate) fn material_of(session: &mut Session, of: Option<&str>) -> Result<MaterialState> {
     let Some(pass) = session.pass_named(of) else {
         return recovered_material(&mut session.pipeline.world);
@@ -73,4 +72,189 @@ pub(crate) fn material_of(session: &mut Session, of: Option<&str>) -> Result<Mat
     // What is written needs no shadows; a pass that renders puts them back.
     session.pipeline.remove_plugin::<FrameVisibilityPlugin>();
     frame_material(&mut session.pipeline)
+}
+
+pub(crate) fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64) {
+    let closed_form = match settings.shading {
+        Shading::Accurate => ClosedForm::Accurate(settings.quality),
+        Shading::Published => ClosedForm::Published,
+        Shading::PathTraced { spp, max_bounces, .. } => {
+            let rays = camera_rays(settings);
+            let paths_per_sample = spp.div_ceil(rays);
+            let paths = PathTracing { paths_per_sample, max_bounces, seed, samples_per_pixel: rays };
+            pipeline.swap(Phase::Frame, Slot::Shading, shade_path_traced(paths));
+            return;
+        }
+    };
+    pipeline.swap(Phase::Frame, Slot::Shading, shade_closed_form(closed_form));
+}
+
+/// Camera rays per pixel: a path tracer with fewer paths than that takes one path a ray.
+pub(crate) fn camera_rays(settings: &RenderSettings) -> u32 {
+    match settings.shading {
+        Shading::Accurate | Shading::Published => settings.samples_per_pixel,
+        Shading::PathTraced { spp, .. } => {
+            let side = f64::from(settings.samples_per_pixel.min(spp)).sqrt().floor().max(1.0) as u32;
+            side * side
+        }
+    }
+}
+
+/// One edit, evaluated for the texels of a surface.
+type ResolvedEdit = (EditTarget, EditAction, EditRegion);
+
+/// Spawns edits with a name; replaces the edits that have it already.
+pub fn spawn_edits(world: &mut World, name: &str, edits: &[Edit], surface: &Surface) -> Result<()> {
+    let resolved = resolved(edits, surface)?;
+    let mut query = world.query::<(Entity, &EditName)>();
+    let old: Vec<Entity> = query.iter(world).filter(|(_, of)| of.0 == name).map(|(edit, _)| edit).collect();
+    old.into_iter().for_each(|edit| _ = world.despawn(edit));
+    for ((target, action, region), order) in resolved.into_iter().zip(0..) {
+        world.spawn((EditName(name.to_owned()), EditOrder(order), target, action, region));
+    }
+    Ok(())
+}
+
+/// Applies a scene file's edits in order.
+pub fn apply_edits(state: &mut MaterialState, edits: &[Edit], surface: &Surface) -> Result<()> {
+    let mut resolved = resolved(edits, surface)?.into_iter();
+    resolved.try_for_each(|(target, action, region)| apply_edit(state, target, &action, &region))
+}
+
+fn resolved(edits: &[Edit], surface: &Surface) -> Result<Vec<ResolvedEdit>> {
+    let atlas = surface.atlas();
+    let blend = |value: Vec3, weight: f32| EditAction::Blend { value, weight };
+    let resolve = |edit: &Edit| {
+        let (target, action) = match edit {
+            Edit::Diffuse { action, .. } => {
+                let action = match action {
+                    DiffuseAction::Set(color) => EditAction::Set(*color),
+                    DiffuseAction::Scale(factor) => EditAction::Scale(*factor),
+                    DiffuseAction::Blend { color, weight } => blend(*color, *weight),
+                    DiffuseAction::Texture(path) => {
+                        EditAction::PerTexel(read_texture(path, atlas.width, atlas.height)?.into())
+                    }
+                };
+                (EditTarget::Diffuse, action)
+            }
+            Edit::Specular { action, .. } => {
+                let action = match action {
+                    ColorAction::Set(color) => EditAction::Set(*color),
+                    ColorAction::Scale(factor) => EditAction::Scale(*factor),
+                    ColorAction::Blend { color, weight } => blend(*color, *weight),
+                };
+                (EditTarget::Specular, action)
+            }
+            Edit::Roughness { action, .. } => {
+                let action = match action {
+                    ScalarAction::Set(value) => EditAction::Set(Vec3::splat(*value)),
+                    ScalarAction::Scale(factor) => EditAction::Scale(Vec3::splat(*factor)),
+                    ScalarAction::Blend { value, weight } => blend(Vec3::splat(*value), *weight),
+                };
+                (EditTarget::Roughness, action)
+            }
+        };
+        let region = EditRegion(region_weights(edit.region(), atlas)?.map(Into::into));
+        Ok((target, action, region))
+    };
+    edits.iter().map(resolve).collect()
+}
+
+/// The indices of the edits, from 0, whose region contains no texel of the surface.
+pub fn edits_of_nothing(edits: &[Edit], surface: &Surface) -> Result<Vec<usize>> {
+    let atlas = surface.atlas();
+    let mut numbers = Vec::new();
+    for (number, edit) in edits.iter().enumerate() {
+        let Some(weights) = region_weights(edit.region(), atlas)? else { continue };
+        if !weights.iter().zip(&atlas.covered).any(|(weight, covered)| *covered && *weight > 0.0) {
+            numbers.push(number);
+        }
+    }
+    Ok(numbers)
+}
+
+/// The weight of each texel; `None` means 1 everywhere.
+fn region_weights(region: &Region, atlas: &TexelAtlas) -> Result<Option<Vec<f32>>> {
+    let each = |depth: &(dyn Fn(Vec3) -> f32 + Sync), falloff: f32| {
+        Some(atlas.position.par_iter().map(|p| weight_at(depth(*p), falloff)).collect::<Vec<f32>>())
+    };
+    let around =
+        |points: &[Vec3], radius: f32, falloff: f32| each(&|p| radius - distance_to_line(p, points), falloff);
+    Ok(match region {
+        Region::All => None,
+        Region::Box { min, max, falloff } => {
+            each(&|p| (p - *min).min_element().min((*max - p).min_element()), *falloff)
+        }
+        Region::Sphere { center, radius, falloff } => around(&[*center], *radius, *falloff),
+        Region::Stroke { points, radius, falloff } => around(points, *radius, *falloff),
+        Region::Mask(path) => Some(read_texture_mask(path, atlas.width, atlas.height)?),
+    })
+}
+
+/// Distance of a point from the line through others, straight from each to the next; infinite if there are none.
+fn distance_to_line(from: Vec3, points: &[Vec3]) -> f32 {
+    let first = points.first().map_or(f32::INFINITY, |point| from.distance(*point));
+    points.windows(2).map(|ends| distance_to_segment(from, ends[0], ends[1])).fold(first, f32::min)
+}
+
+fn distance_to_segment(from: Vec3, start: Vec3, end: Vec3) -> f32 {
+    let (offset, along) = (from - start, end - start);
+    let squared = along.length_squared();
+    let t = if squared > 0.0 { (offset.dot(along) / squared).clamp(0.0, 1.0) } else { 0.0 };
+    offset.distance(t * along)
+}
+
+/// The weight at a depth inside the boundary of the region: 0 outside, 1 from `falloff` on, smooth between.
+fn weight_at(depth: f32, falloff: f32) -> f32 {
+    if depth < 0.0 {
+        return 0.0;
+    }
+    let t = if depth < falloff { depth / falloff } else { 1.0 };
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// Pictures to come show the object as it lies in this view.
+pub(crate) fn show_placement(world: &mut World, view: Entity) {
+    let placement = world.get::<Placement>(view).copied().unwrap_or_default();
+    let shown = world.get_resource::<Placements>().map(|all| PicturePlacement::new(all, placement));
+    shown.into_iter().for_each(|shown| world.insert_resource(shown));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lobelia_geometry::mesh::primitive::sphere_mesh;
+
+    /// A bent line, from its first point to the right, and then up.
+    const BENT: [Vec3; 3] = [Vec3::ZERO, Vec3::X, Vec3::new(1.0, 2.0, 0.0)];
+
+    #[test]
+    fn a_region_sets_in_over_its_falloff() {
+        assert_eq!([-0.1, 0.0, 0.2].map(|depth| weight_at(depth, 0.0)), [0.0, 1.0, 1.0]);
+        assert_eq!([-0.1, 0.0, 0.1, 0.2].map(|depth| weight_at(depth, 0.2)), [0.0, 0.0, 0.5, 1.0]);
+    }
+
+    #[test]
+    fn a_stroke_is_around_its_segments_and_points() {
+        let found = |x: f32, y: f32, z: f32| distance_to_line(Vec3::new(x, y, z), &BENT);
+        assert_eq!([found(0.5, 0.0, 0.0), found(1.0, 1.5, 0.0)], [0.0, 0.0], "on the line");
+        assert_eq!([found(0.5, 0.25, 0.0), found(1.0, 1.0, -0.5)], [0.25, 0.5], "beside it");
+        assert_eq!([found(-3.0, 0.0, 4.0), found(1.0, 2.5, 0.0)], [5.0, 0.5], "beyond its ends");
+        assert_eq!([found(2.0, -1.0, 0.0), found(1.25, 0.0, 0.0)], [2f32.sqrt(), 0.25], "outside the bend");
+        let twice = [Vec3::X, Vec3::X];
+        assert_eq!(distance_to_line(Vec3::ZERO, &twice), 1.0, "a segment without length");
+        assert_eq!(distance_to_line(Vec3::ZERO, &[]), f32::INFINITY);
+    }
+
+    #[test]
+    fn a_stroke_of_one_point_is_a_ball() {
+        let surface = Surface::new(sphere_mesh(Vec3::ZERO, 0.8).unwrap(), 32).unwrap();
+        let weights = |region: Region| region_weights(&region, surface.atlas()).unwrap().unwrap();
+        let (center, radius, falloff) = (Vec3::new(0.1, 0.7, 0.3), 0.5, 0.2);
+        let ball = weights(Region::Sphere { center, radius, falloff });
+        assert_eq!(weights(Region::Stroke { points: vec![center], radius, falloff }), ball);
+        let longer = weights(Region::Stroke { points: vec![center, Vec3::Z], radius, falloff });
+        assert!(longer.iter().zip(&ball).all(|(longer, ball)| longer >= ball));
+        assert!(longer.iter().sum::<f32>() > 1.2 * ball.iter().sum::<f32>());
+    }
 }

@@ -1,12 +1,11 @@
 //! Files of ground truth: what they are called, and reading them for a view.
 
-use crate::codec::exr_frame::Layer;
-use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, Orientation, image_header, read_image};
-use crate::error::{Error, Result};
 use crate::scene::VIEW;
-use crate::view::Image;
-use crate::view::camera::Camera;
 use glam::Vec3;
+use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::view::{Image, camera::Camera};
+use lobelia_io::codec::exr_frame::Layer;
+use lobelia_io::codec::image::{Gamma, IMAGE_EXTENSIONS, Orientation, image_header, read_image};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
@@ -22,7 +21,8 @@ pub(crate) struct ViewFiles<'a> {
 }
 
 impl<'a> ViewFiles<'a> {
-    /// Those that a truth names: their folder, and the path of each from there if the scene says it.
+    /// Returns the files that a truth names: their folder, and the path of each from there if the
+    /// scene says it.
     pub(crate) fn of((folder, file): (&'a PathBuf, Option<&'a str>)) -> Self {
         Self { folder, file }
     }
@@ -52,10 +52,8 @@ impl<'a> ViewFiles<'a> {
         self.file.map(|file| self.folder.join(file.replace(VIEW, view)))
     }
 
-    /// The true albedo or normals of a view, in linear light or world axes, by the stem of its files and its name. Unknown normals are zero.
-    ///
-    /// # Errors
-    /// Those of [`read_fitting`]; [`Error::Input`] if there is no file of the normals.
+    /// The true albedo or normals of a view, in linear light or world axes, by the stem of its
+    /// files and its name. Unknown normals are zero.
     pub(crate) fn read_layer(&self, layer: Layer, names: [&str; 2], camera: &Camera) -> Result<Vec<Vec3>> {
         let [stem, name] = names;
         let Some(path) = self.named(name) else { return read_usual_layer(self.folder, layer, stem, camera) };
@@ -69,7 +67,7 @@ impl<'a> ViewFiles<'a> {
     }
 }
 
-/// What in a folder is called `part`, where [`VIEW`] stands for anything.
+/// Returns the paths in a folder that match `part`, where [`VIEW`] stands for anything.
 fn matching(folder: &Path, part: &str) -> Vec<PathBuf> {
     let Some((start, end)) = part.split_once(VIEW) else {
         return Some(folder.join(part)).filter(|path| path.exists()).into_iter().collect();
@@ -119,10 +117,8 @@ pub(crate) fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result
     read_covered(path, gamma, camera).map(|(pixels, _)| pixels)
 }
 
-/// The same, weighted by coverage, and the coverage if the image has alpha.
-///
-/// # Errors
-/// Those of [`read_fitting`].
+/// Returns the pixels of [`read_fitting`], weighted by coverage, and the coverage if the image has
+/// alpha.
 pub(crate) fn read_covered(
     path: &Path,
     gamma: Gamma,
@@ -132,7 +128,8 @@ pub(crate) fn read_covered(
     let (width, height) = (loaded.image.width, loaded.image.height);
     let alpha = loaded.alpha.map(|alpha| {
         let pixels = alpha.into_iter().map(Vec3::splat).collect();
-        Ok(fit(path, Image { width, height, pixels }, camera)?.into_iter().map(|pixel| pixel.x).collect())
+        let fitted = fit(path, Image { width, height, pixels }, camera)?;
+        Ok::<_, Error>(fitted.into_iter().map(|pixel| pixel.x).collect())
     });
     Ok((fit(path, loaded.image, camera)?, alpha.transpose()?))
 }
@@ -155,11 +152,12 @@ fn fit(path: &Path, image: Image, camera: &Camera) -> Result<Vec<Vec3>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::png_file::write_rgb8;
-    use crate::codec::test_data::write_exr;
     use crate::report::metrics::ImagePair;
-    use crate::report::normals::NormalAngles;
+    use crate::report::metrics::NormalAngles;
     use image::{Rgb, RgbImage};
+    use lobelia_io::codec::exr::ExrLayers;
+    use lobelia_io::codec::exr_frame::write_channels;
+    use lobelia_io::codec::png_file::write_rgb8;
 
     fn camera(size: u32) -> Camera {
         Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 40.0, size, size).unwrap()
@@ -167,7 +165,7 @@ mod tests {
 
     /// A normal as NeRF's synthetic sets store it.
     fn stored(normal: Vec3) -> Rgb<u8> {
-        let code = |n: f32| (255.0 * crate::math::color::srgb_from_linear(n)).round() as u8;
+        let code = |n: f32| (255.0 * lobelia_sg::color::srgb_from_linear(n)).round() as u8;
         Rgb(normal.to_array().map(code))
     }
 
@@ -221,8 +219,10 @@ mod tests {
         assert!(read(Layer::Albedo).unwrap_err().to_string().contains("albedo_3.exr"));
         write_rgb8(folder.path().join("r_3_normal.png"), &RgbImage::new(2, 2)).unwrap();
         assert_eq!(read(Layer::Normal).unwrap(), [Vec3::ZERO; 4]);
-        let values = [("R", -1.0), ("G", 0.0), ("B", 0.0)].map(|(name, value)| (name, vec![value; 4]));
-        write_exr(&folder.path().join("normal_3.exr"), 2, 2, &values);
+        let values =
+            [("R", -1.0), ("G", 0.0), ("B", 0.0)].map(|(name, value)| (name.to_owned(), vec![value; 4]));
+        let layers = ExrLayers { width: 2, height: 2, channels: values.into_iter().collect() };
+        write_channels(folder.path().join("normal_3.exr"), &layers).unwrap();
         assert_eq!(read(Layer::Normal).unwrap(), [Vec3::NEG_X; 4]);
         assert!(read(Layer::Albedo).is_err(), "a PNG is for normals only");
     }

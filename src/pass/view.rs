@@ -1,32 +1,32 @@
-//! The `View` pass: a page that shows the object in a browser.
+//! The `View` pass: a page that shows the object in a browser, with small photographs, of which only the part that shows the object.
 
-use crate::codec::file::write_bytes;
-use crate::error::Result;
-use crate::light::LightLobe;
-use crate::light::light_frame::{LightFrame, OwnLightFrame};
-use crate::light::lights::own_lobes;
-use crate::page::upright::upright;
-use crate::page::{Contents, PageCamera, PageLight, html};
-use crate::pass::page_cameras::page_cameras;
-use crate::pass::session::Session;
-use crate::pass::show::material_of;
-use crate::pass::view_photographs::add_photographs;
-use crate::scene::load::edit_to_ron;
-use crate::scene::{Pass, ViewPass};
-use crate::visibility::ObjectVisibility;
-use bevy_ecs::prelude::Entity;
+use crate::page::{Contents, PageCamera, PageLight, PagePhotograph, html, upright};
+use crate::pass::{run::session::Session, show::material_of};
+use crate::report::sheet::choose_evenly;
+use crate::report::tone::{Picture, jpeg_address, side_within, thumbnail_jpeg, thumbnail_mask};
+use crate::scene::{Pass, ViewPass, load::edit_to_ron};
+use bevy_ecs::prelude::{Entity, World};
+use glam::Vec3;
+use image::{GrayImage, Luma};
+use lobelia_geometry::error::{Result, stop::check_interrupted};
+use lobelia_geometry::view::{
+    Camera, Photograph, PixelWindow, Placement, Split, ViewIndex, ViewMask, ViewName,
+};
+use lobelia_io::codec::file::write_bytes;
+use lobelia_solve::fit::exposure::Exposures;
+use lobelia_solve::visibility::ObjectVisibility;
+use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
+use lobelia_world::light::placement::{LightGroup, Placements};
+use lobelia_world::light::{LightLobe, lights::own_lobes};
 use std::path::Path;
 
 /// The page's file name.
 pub const PAGE: &str = "view.html";
 
 /// Writes the page of the object, with the lights of all passes.
-///
-/// # Errors
-/// If an edit's image cannot be read, or the page is too large or cannot be written.
 pub(crate) fn run(session: &mut Session, pass: &ViewPass) -> Result<()> {
     let named = session.scene.passes.iter().filter_map(|pass| {
-        let light = session.lights.of_passes.get(pass.name())?;
+        let light = session.pass_lights.get(pass.name())?;
         Some((pass.name().to_owned(), light.lobes.clone()))
     });
     let named = named.collect();
@@ -35,9 +35,6 @@ pub(crate) fn run(session: &mut Session, pass: &ViewPass) -> Result<()> {
 }
 
 /// Writes the page of the object with these lights besides its own.
-///
-/// # Errors
-/// As [`run`].
 pub(crate) fn write_page(
     session: &mut Session,
     pass: &ViewPass,
@@ -51,9 +48,19 @@ pub(crate) fn write_page(
     let (views, mut cameras): (Vec<Entity>, Vec<PageCamera>) =
         page_cameras(&mut session.pipeline.world).into_iter().unzip();
     let embedded = add_photographs(&session.pipeline.world, &views, &mut cameras, pass.photographs as usize)?;
-    let lights = lights(session, pass.of.as_deref(), named);
+    let world = &mut session.pipeline.world;
+    let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
+    let mut lights = vec![PageLight { name: "found".into(), lobes: own_lobes(world), frame, own: true }];
+    let frame = LightFrame::World;
+    lights.extend(named.into_iter().map(|(name, lobes)| PageLight { name, lobes, frame, own: false }));
+    // The light of the pass `of`, if it has one, is the first.
+    if let Some(first) = lights.iter().position(|light| !light.own && Some(&light.name) == pass.of.as_ref()) {
+        lights[..=first].rotate_right(1);
+    }
+    // That of the scene file, if nobody said another.
+    let title = session.out.file_name().map(|name| name.to_string_lossy().into_owned());
     let contents = Contents {
-        title: &title(session),
+        title: title.as_deref().unwrap_or("Lobelia"),
         up: upright(&cameras, session.scene.up),
         surface: &session.surface,
         material: &material,
@@ -74,26 +81,176 @@ pub(crate) fn write_page(
     Ok(())
 }
 
-/// The name of the output folder, which is that of the scene file if nobody said another.
-fn title(session: &Session) -> String {
-    let name = session.out.file_name().map(|name| name.to_string_lossy().into_owned());
-    name.unwrap_or_else(|| "Lobelia".to_owned())
+/// The cameras of all views: those held out first, each group by name.
+fn page_cameras(world: &mut World) -> Vec<(Entity, PageCamera)> {
+    let mut query = world.query::<(Entity, &ViewName, &Camera, &Split)>();
+    let camera = |(view, name, camera, split): (Entity, &ViewName, &Camera, &Split)| {
+        (view, PageCamera { name: name.0.clone(), split: *split, camera: *camera, photograph: None })
+    };
+    let mut cameras: Vec<(Entity, PageCamera)> = query.iter(world).map(camera).collect();
+    cameras.sort_by_cached_key(|(_, camera)| (camera.split != Split::Test, camera.name.clone()));
+    cameras
 }
 
-/// The object's own light and the named ones; that of the pass `of`, if it has one, is the first.
-fn lights(session: &mut Session, of: Option<&str>, named: Vec<(String, Vec<LightLobe>)>) -> Vec<PageLight> {
-    let world = &mut session.pipeline.world;
-    let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
-    let own = PageLight { name: "found".into(), lobes: own_lobes(world), frame, own: true };
-    let named = named.into_iter().map(|(name, lobes)| PageLight {
-        name,
-        lobes,
-        frame: LightFrame::World,
-        own: false,
-    });
-    let mut lights: Vec<PageLight> = std::iter::once(own).chain(named).collect();
-    if let Some(first) = lights.iter().position(|light| !light.own && Some(light.name.as_str()) == of) {
-        lights[..=first].rotate_right(1);
+/// Bytes of all photographs of a page, about; addresses take a third more.
+const BUDGET: f64 = 1.5e6;
+/// Bytes of addresses that are never exceeded: further photographs are left out.
+const MOST_BYTES: usize = 3_000_000;
+/// Part of the longer side of the object's window that is added around it.
+const MARGIN: f32 = 0.04;
+
+/// Adds photographs to at most `most` of the cameras, which are of these views: held-out views first, evenly chosen. Returns to how many.
+fn add_photographs(
+    world: &World,
+    views: &[Entity],
+    cameras: &mut [PageCamera],
+    most: usize,
+) -> Result<usize> {
+    // They can be compared with what the scene's own light shows.
+    let is_under_own_light = |view: Entity| {
+        let (all, own) = (world.get_resource::<Placements>(), world.get::<Placement>(view));
+        all.zip(own).is_none_or(|(all, placement)| all.light(*placement) == LightGroup::OWN)
+    };
+    let is_there = |view: Entity| {
+        is_under_own_light(view)
+            && world.get::<Photograph>(view).is_some_and(|photograph| !photograph.window().is_empty())
+    };
+    let mut chosen = Vec::new();
+    for split in [Split::Test, Split::Train] {
+        let there: Vec<usize> =
+            (0..views.len()).filter(|i| cameras[*i].split == split && is_there(views[*i])).collect();
+        chosen.extend(choose_evenly(there.len(), most - chosen.len()).into_iter().map(|i| there[i]));
     }
-    lights
+    let side = side_within(chosen.len(), BUDGET);
+    let (mut bytes, mut count) = (0, 0);
+    for place in chosen {
+        check_interrupted()?;
+        let Some(photograph) = embedded(world, views[place], side)? else { continue };
+        bytes += photograph.address.len();
+        if bytes > MOST_BYTES {
+            break;
+        }
+        cameras[place].photograph = Some(photograph);
+        count += 1;
+    }
+    Ok(count)
+}
+
+/// A view's photograph at the exposure of renders; `None` if it does not show the object.
+pub(crate) fn embedded(world: &World, view: Entity, side: u32) -> Result<Option<PagePhotograph>> {
+    let Some(photograph) = world.get::<Photograph>(view) else { return Ok(None) };
+    let mask = world.get::<ViewMask>(view).map(|mask| &mask.0).filter(|mask| !mask.is_full());
+    let window = match mask {
+        Some(mask) => around(mask.window(), photograph.size()),
+        None => photograph.window(),
+    };
+    if window.is_empty() || mask.is_some_and(|mask| mask.window().is_empty()) {
+        return Ok(None);
+    }
+    let factor = world.get_resource::<Exposures>().zip(world.get::<ViewIndex>(view));
+    let factor = factor.map_or(Vec3::ONE, |(exposures, index)| exposures.factor(*index));
+    let pixels = || window.pixels(photograph.size()[0]);
+    let color: Vec<Vec3> = pixels().map(|i| photograph.radiance(i) / factor).collect();
+    let alpha: Vec<f32> = pixels().map(|i| mask.map_or(1.0, |mask| mask.coverage(i))).collect();
+    let (width, height) = (window.width as usize, window.height as usize);
+    let picture = Picture { width, height, color: &color, alpha: &alpha };
+    let jpeg = thumbnail_jpeg(&picture.on_mat()?, side)?;
+    let covered = |x: u32, y: u32| Luma([(alpha[y as usize * width + x as usize] * 255.0 + 0.5) as u8]);
+    let coverage = thumbnail_mask(&GrayImage::from_fn(window.width, window.height, covered), side);
+    let size = coverage.dimensions().into();
+    let coverage = mask.map(|_| coverage.into_raw());
+    Ok(Some(PagePhotograph { window, size, address: jpeg_address(&jpeg), coverage }))
+}
+
+/// The window with a margin, as far as the picture reaches.
+fn around(window: PixelWindow, [width, height]: [u32; 2]) -> PixelWindow {
+    let margin = (MARGIN * window.width.max(window.height) as f32).ceil() as u32;
+    let (x, y) = (window.x.saturating_sub(margin), window.y.saturating_sub(margin));
+    let right = (window.x + window.width + margin).min(width);
+    let bottom = (window.y + window.height + margin).min(height);
+    PixelWindow { x, y, width: right - x, height: bottom - y }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lobelia_geometry::view::{Image, Mask, StoredMask};
+    use lobelia_solve::fit::exposure::ExposureChoice;
+
+    /// Views of 40 × 30 pixels: training views, and then test views, whose object is a red square.
+    fn world(train: usize, test: usize) -> (World, Vec<Entity>, Vec<PageCamera>) {
+        let (width, height) = (40, 30);
+        let inside = |i: u32| (10..20).contains(&(i % width)) && (6..16).contains(&(i / width));
+        let red = |i: u32| if inside(i) { Vec3::new(0.5, 0.0, 0.0) } else { Vec3::ZERO };
+        let pixels = (0..width * height).map(red).collect();
+        let photograph = Photograph::of_image(&Image { width, height, pixels });
+        let coverage = (0..width * height).map(|i| f32::from(u8::from(inside(i)))).collect();
+        let mask = StoredMask::new(&Mask { width, height, coverage });
+        let camera = Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 40.0, width, height).unwrap();
+        let mut world = World::new();
+        let mut views = Vec::new();
+        let mut cameras = Vec::new();
+        for i in 0..train + test {
+            let split = if i < train { Split::Train } else { Split::Test };
+            let name = format!("{i}");
+            let view = (ViewName(name.clone()), split, photograph.clone(), ViewMask(mask.clone()));
+            views.push(world.spawn(view).id());
+            cameras.push(PageCamera { name, split, camera, photograph: None });
+        }
+        (world, views, cameras)
+    }
+
+    fn with(cameras: &[PageCamera]) -> Vec<usize> {
+        (0..cameras.len()).filter(|i| cameras[*i].photograph.is_some()).collect()
+    }
+
+    #[test]
+    fn held_out_views_come_first_and_few_are_chosen_evenly() {
+        let (world, views, mut cameras) = world(10, 2);
+        assert_eq!(add_photographs(&world, &views, &mut cameras, 5).unwrap(), 5);
+        assert_eq!(with(&cameras), [0, 5, 9, 10, 11]);
+        cameras.iter_mut().for_each(|camera| camera.photograph = None);
+        assert_eq!(add_photographs(&world, &views, &mut cameras, 1).unwrap(), 1);
+        assert_eq!(with(&cameras), [10]);
+        cameras.iter_mut().for_each(|camera| camera.photograph = None);
+        assert_eq!(add_photographs(&world, &views, &mut cameras, 0).unwrap(), 0);
+        assert!(with(&cameras).is_empty());
+    }
+
+    #[test]
+    fn the_part_with_the_object_is_shown_on_the_mat() {
+        let (world, views, mut cameras) = world(0, 1);
+        add_photographs(&world, &views, &mut cameras, 24).unwrap();
+        let photograph = cameras[0].photograph.clone().unwrap();
+        assert_eq!(photograph.window, PixelWindow { x: 9, y: 5, width: 12, height: 12 });
+        assert_eq!(photograph.size, [12, 12]);
+        let coverage = photograph.coverage.unwrap();
+        assert_eq!((coverage[0], coverage[12 * 6 + 6], coverage.len()), (0, 255, 144));
+        assert!(photograph.address.starts_with("data:image/jpeg;base64,"));
+    }
+
+    #[test]
+    fn views_without_a_photograph_or_without_the_object_are_left_out() {
+        let (mut world, views, mut cameras) = world(0, 3);
+        world.entity_mut(views[0]).remove::<Photograph>();
+        let empty = StoredMask::new(&Mask { width: 40, height: 30, coverage: vec![0.0; 1200] });
+        world.entity_mut(views[1]).insert(ViewMask(empty));
+        assert_eq!(add_photographs(&world, &views, &mut cameras, 24).unwrap(), 1);
+        assert_eq!(with(&cameras), [2]);
+    }
+
+    #[test]
+    fn photographs_are_shown_at_the_exposure_of_renders() {
+        let (mut world, views, mut cameras) = world(1, 0);
+        let address = |world: &World, cameras: &mut [PageCamera]| {
+            add_photographs(world, &views, cameras, 1).unwrap();
+            cameras[0].photograph.clone().unwrap().address
+        };
+        let plain = address(&world, &mut cameras);
+        world.entity_mut(views[0]).insert(ViewIndex(0));
+        let mut exposures = Exposures::default();
+        (exposures.used, exposures.factors) = (ExposureChoice::Brightness, vec![Vec3::splat(2.0)]);
+        world.insert_resource(exposures);
+        assert_ne!(address(&world, &mut cameras), plain);
+    }
 }

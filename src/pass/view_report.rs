@@ -1,19 +1,17 @@
 //! How each view came out, and what went wrong: `views.csv`, and the warnings of `metrics.json`.
 
-use crate::codec::file::write_bytes;
-use crate::error::Result;
-use crate::fit::by_view::{ViewSum, ViewSums, is_outlier};
-use crate::fit::guard::StepGuard;
-use crate::light::LightLobe;
-use crate::light::groups::other_lights;
-use crate::light::lights::own_lobes;
-use crate::math::statistics::median;
-use crate::mesh::Surface;
-use crate::pass::session::Session;
+use crate::pass::run::session::Session;
 use crate::report::scores::{EvalView, ViewOutcome};
-use crate::survey::finding::named;
-use crate::view::{Camera, Photograph, Split, StoredMask, ViewIndex, ViewMask, ViewName};
-use bevy_ecs::prelude::{Entity, With, World};
+use crate::survey::named;
+use bevy_ecs::prelude::{Entity, With};
+use lobelia_geometry::error::Result;
+use lobelia_geometry::mesh::Surface;
+use lobelia_geometry::view::{Camera, Photograph, Split, StoredMask, ViewIndex, ViewMask, ViewName};
+use lobelia_io::codec::file::write_bytes;
+use lobelia_sg::statistics::median;
+use lobelia_solve::fit::guard::StepGuard;
+use lobelia_solve::fit::loss::{ViewSum, ViewSums, is_outlier};
+use lobelia_world::light::{LightLobe, groups::other_lights, lights::own_lobes};
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
 use std::fmt::Write as _;
@@ -24,12 +22,8 @@ pub const VIEWS: &str = "views.csv";
 
 /// Most pixels along a side of the silhouettes that are compared.
 const SIDE: u32 = 96;
-/// Mean luminance of the object below which a photograph is black.
-const BLACK: f64 = 1e-3;
 /// Overlap of mask and surface below which they disagree.
 const DISAGREES: f64 = 0.6;
-/// A mesh this many times too large or too small is off by a factor.
-const FACTOR: f32 = 1.15;
 /// Share of outliers from which on a view is named, and that of the median view that it must be above.
 const OUTLIERS: f64 = 0.5;
 /// Radiance of a lobe beyond this, relative to the photographs, is no light that they show.
@@ -45,42 +39,21 @@ pub(super) struct ScoredOutcome {
     pub outliers: Option<f64>,
 }
 
-/// A view of the world, as far as its silhouette needs it.
-struct Outline {
-    entity: Entity,
-    name: String,
-    split: Split,
-    index: ViewIndex,
-    camera: Camera,
-    mask: Option<StoredMask>,
-}
-
-/// A mask beside the surface.
-#[derive(Clone, Copy)]
-struct Overlap {
-    /// Of the mask's pixels, the share that the surface covers.
-    hit: f64,
-    iou: f64,
-    /// Square root of the surface's area over the mask's.
-    factor: f32,
-}
-
 /// Notes how the training views came out of a fit, and what went wrong in it.
 pub(super) fn note_fit(session: &mut Session) {
-    let outlines = outlines(&mut session.pipeline.world, Some(Split::Train));
-    let sums = session.pipeline.world.get_resource::<ViewSums>().cloned().unwrap_or_default();
-    let overlaps = overlaps(&session.surface, &outlines);
-    let mut lobes = own_lobes(&mut session.pipeline.world);
-    lobes.extend(other_lights(&mut session.pipeline.world).into_iter().flat_map(|(lobes, _)| lobes));
-    let found: Vec<(ViewOutcome, ViewSum)> = outlines
-        .iter()
-        .zip(&overlaps)
-        .map(|(view, overlap)| (outcome(view, *overlap, Some(sums.of(view.index))), sums.of(view.index)))
-        .collect();
-    let factors = overlaps.iter().flatten().map(|overlap| overlap.factor).collect();
-    let warnings = warnings(&found, factors, &lobes);
-    let guard = session.pipeline.world.get_resource::<StepGuard>();
-    if let Some(first) = guard.and_then(|guard| guard.first.clone()) {
+    let views = silhouettes(session, |_, split| split == Split::Train);
+    let world = &mut session.pipeline.world;
+    let sums = world.get_resource::<ViewSums>().cloned().unwrap_or_default();
+    let mut lobes = own_lobes(world);
+    lobes.extend(other_lights(world).into_iter().flat_map(|(lobes, _)| lobes));
+    let with_sums = |(_, index, view): (Entity, ViewIndex, ViewOutcome)| {
+        let sum = sums.of(index);
+        let (psnr, outliers) = (sum.psnr(), sum.outlier_share());
+        (ViewOutcome { pixels: Some(sum.pool), psnr, outliers, ..view }, sum)
+    };
+    let found: Vec<(ViewOutcome, ViewSum)> = views.into_iter().map(with_sums).collect();
+    let warnings = warnings(&found, &lobes);
+    if let Some(first) = world.get_resource::<StepGuard>().and_then(|guard| guard.first.clone()) {
         warn(session, format!("steps of a fit were taken back; first {first}"));
     }
     session.scores.views = found.into_iter().map(|(view, _)| view).collect();
@@ -97,51 +70,38 @@ pub(super) fn warn(session: &mut Session, warning: String) {
     }
 }
 
-fn outcome(view: &Outline, overlap: Option<Overlap>, sum: Option<ViewSum>) -> ViewOutcome {
-    ViewOutcome {
-        name: view.name.clone(),
-        split: if view.split == Split::Train { "train" } else { "test" }.into(),
-        pixels: sum.map(|sum| sum.pool),
-        hit: overlap.map(|overlap| overlap.hit),
-        mask_iou: overlap.map(|overlap| overlap.iou),
-        psnr: sum.and_then(|sum| sum.psnr()),
-        outliers: sum.and_then(|sum| sum.outlier_share()),
-    }
+/// The views with photographs that are wanted, in the order of their numbers, with their masks beside the
+/// surface.
+fn silhouettes(
+    session: &mut Session,
+    wanted: impl Fn(Entity, Split) -> bool,
+) -> Vec<(Entity, ViewIndex, ViewOutcome)> {
+    let world = &mut session.pipeline.world;
+    let mut query = world.query_filtered::<(Entity, &ViewIndex, &Split), With<Photograph>>();
+    let mut views: Vec<(Entity, ViewIndex, Split)> =
+        query.iter(world).map(|(view, index, split)| (view, *index, *split)).collect();
+    views.retain(|(view, _, split)| wanted(*view, *split));
+    views.sort_by_key(|(_, index, _)| *index);
+    let (world, surface) = (&session.pipeline.world, &session.surface);
+    let outcome = |(view, index, split): (Entity, ViewIndex, Split)| {
+        let camera = world.get::<Camera>(view);
+        let overlap = camera.zip(world.get::<ViewMask>(view));
+        let overlap = overlap.and_then(|(camera, mask)| overlap_of(surface, camera, &mask.0));
+        let outcome = ViewOutcome {
+            name: world.get::<ViewName>(view).map(|name| name.0.clone()).unwrap_or_default(),
+            split: if split == Split::Train { "train" } else { "test" }.into(),
+            hit: overlap.map(|[hit, _]| hit),
+            mask_iou: overlap.map(|[_, iou]| iou),
+            ..ViewOutcome::default()
+        };
+        (view, index, outcome)
+    };
+    views.into_par_iter().map(outcome).collect()
 }
 
-type OutlineView = (
-    Entity,
-    &'static ViewName,
-    &'static Split,
-    &'static ViewIndex,
-    &'static Camera,
-    Option<&'static ViewMask>,
-);
-
-/// Views with photographs, in the order of their numbers.
-fn outlines(world: &mut World, split: Option<Split>) -> Vec<Outline> {
-    let mut query = world.query_filtered::<OutlineView, With<Photograph>>();
-    let wanted = query.iter(world).filter(|view| split.is_none_or(|split| *view.2 == split));
-    let mut outlines: Vec<Outline> = wanted
-        .map(|(entity, name, split, index, camera, mask)| Outline {
-            entity,
-            name: name.0.clone(),
-            split: *split,
-            index: *index,
-            camera: *camera,
-            mask: mask.map(|mask| mask.0.clone()),
-        })
-        .collect();
-    outlines.sort_by_key(|view| view.index);
-    outlines
-}
-
-fn overlaps(surface: &Surface, views: &[Outline]) -> Vec<Option<Overlap>> {
-    views.par_iter().map(|view| overlap(surface, &view.camera, view.mask.as_ref()?)).collect()
-}
-
-/// The surface beside a mask, at few pixels; `None` if both are empty.
-fn overlap(surface: &Surface, camera: &Camera, mask: &StoredMask) -> Option<Overlap> {
+/// The surface beside a mask, at few pixels: of the mask's pixels the share that the surface covers, and
+/// their intersection over union; `None` if both are empty.
+fn overlap_of(surface: &Surface, camera: &Camera, mask: &StoredMask) -> Option<[f64; 2]> {
     let factor = camera.width.max(camera.height).div_ceil(SIDE).max(1);
     let (camera, mask) = (camera.scaled(factor), mask.mask().downscaled(factor));
     let (mut inside, mut covered, mut both) = (0u32, 0u32, 0u32);
@@ -153,16 +113,12 @@ fn overlap(surface: &Surface, camera: &Camera, mask: &StoredMask) -> Option<Over
         both += u32::from(is_inside && is_covered);
     }
     let either = inside + covered - both;
-    let share = |part: u32, of: u32| f64::from(part) / f64::from(of.max(1));
-    (either > 0).then(|| Overlap {
-        hit: share(both, inside),
-        iou: share(both, either),
-        factor: share(covered, inside).sqrt() as f32,
-    })
+    let share = |of: u32| f64::from(both) / f64::from(of.max(1));
+    (either > 0).then(|| [share(inside), share(either)])
 }
 
-/// What went wrong in a fit, in sentences.
-fn warnings(views: &[(ViewOutcome, ViewSum)], factors: Vec<f32>, lobes: &[LightLobe]) -> Vec<String> {
+/// Returns the problems of a fit, in sentences.
+fn warnings(views: &[(ViewOutcome, ViewSum)], lobes: &[LightLobe]) -> Vec<String> {
     let names = |is_bad: &dyn Fn(&ViewOutcome, &ViewSum) -> bool| -> Vec<String> {
         views.iter().filter(|(view, sum)| is_bad(view, sum)).map(|(view, _)| view.name.clone()).collect()
     };
@@ -174,16 +130,10 @@ fn warnings(views: &[(ViewOutcome, ViewSum)], factors: Vec<f32>, lobes: &[LightL
     };
     let unused = names(&|_, sum| sum.pool == 0);
     add(&unused, &|views| format!("no pixel of {views} was used: none shows the surface inside its mask"));
-    let black = names(&|_, sum| sum.pixels > 0 && sum.observed / (sum.pixels as f64) < BLACK);
-    add(&black, &|views| format!("the object is black in the photograph of {views}"));
-    let off = off_by(factors);
     let strays = names(&|view, _| view.mask_iou.is_some_and(|iou| iou < DISAGREES));
     let all = 2 * strays.len() > views.len();
-    let of_all = off.as_deref().unwrap_or("check that mesh, cameras and masks belong together");
-    add(&strays, &|views| {
-        let words = format!("mask and surface overlap to less than {DISAGREES} in {views}");
-        if all { format!("{words}: {of_all}") } else { words }
-    });
+    let of_all = if all { ": check that mesh, cameras and masks belong together" } else { "" };
+    add(&strays, &|views| format!("mask and surface overlap to less than {DISAGREES} in {views}{of_all}"));
     let mut shares: Vec<f32> = views.iter().filter_map(|(view, _)| Some(view.outliers? as f32)).collect();
     let usual = f64::from(median(&mut shares).unwrap_or(0.0));
     let wrong = names(&|view, _| view.outliers.is_some_and(|share| share > OUTLIERS && share > 2.0 * usual));
@@ -192,19 +142,6 @@ fn warnings(views: &[(ViewOutcome, ViewSum)], factors: Vec<f32>, lobes: &[LightL
     });
     found.extend(runaway(lobes, views));
     found
-}
-
-/// By which factor the surface is too large or too small, if all views say the same.
-fn off_by(mut factors: Vec<f32>) -> Option<String> {
-    factors.retain(|factor| factor.is_finite() && *factor > 0.0);
-    let middle = median(&mut factors)?;
-    if middle > FACTOR {
-        Some(format!("the surface looks {middle:.2} times too large"))
-    } else if middle < 1.0 / FACTOR {
-        Some(format!("the surface looks {:.2} times too small", 1.0 / middle))
-    } else {
-        None
-    }
 }
 
 /// A light that is brighter than anything that photographs of this brightness can show.
@@ -235,43 +172,41 @@ pub(super) fn outlier_share(view: &EvalView, predicted: &[glam::Vec3]) -> Option
 }
 
 /// Adds scored views that no fit has told of, in place of those that an earlier `Evaluate` has told of, and writes the report of all views.
-///
-/// # Errors
-/// If it cannot be written.
 pub(super) fn write(session: &mut Session, folder: &Path, scored: &[ScoredOutcome]) -> Result<()> {
-    let mut outlines = outlines(&mut session.pipeline.world, None);
     let scored: HashMap<Entity, &ScoredOutcome> =
         scored.iter().rev().map(|scored| (scored.view, scored)).collect();
-    outlines.retain(|view| scored.contains_key(&view.entity));
     // Those of a fit say how many pixels it may visit.
     session.scores.views.retain(|view| view.pixels.is_some());
     let key = |view: &ViewOutcome| (view.name.clone(), view.split.clone());
     let mut known: HashSet<(String, String)> = session.scores.views.iter().map(key).collect();
-    outlines.retain(|view| known.insert(key(&outcome(view, None, None))));
-    for (view, overlap) in outlines.iter().zip(overlaps(&session.surface, &outlines)) {
-        let found = scored[&view.entity];
-        let new = outcome(view, overlap, None);
-        session.scores.views.push(ViewOutcome { psnr: Some(found.psnr), outliers: found.outliers, ..new });
+    for (view, _, outcome) in silhouettes(session, |view, _| scored.contains_key(&view)) {
+        let found = scored[&view];
+        let outcome = ViewOutcome { psnr: Some(found.psnr), outliers: found.outliers, ..outcome };
+        if known.insert(key(&outcome)) {
+            session.scores.views.push(outcome);
+        }
     }
     write_bytes(&folder.join(VIEWS), csv(&session.scores.views).as_bytes())
 }
 
-/// The report as text.
 fn csv(views: &[ViewOutcome]) -> String {
     let mut text = String::from("view,split,pixels,hit,mask_iou,psnr,outliers\n");
     let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.4}"));
     for view in views {
-        let name = if view.name.contains([',', '"', '\n']) {
-            format!("\"{}\"", view.name.replace('"', "\"\""))
-        } else {
-            view.name.clone()
-        };
         let pixels = view.pixels.map_or(String::new(), |pixels| pixels.to_string());
         let numbers = [view.hit, view.mask_iou, view.psnr, view.outliers].map(number).join(",");
         // Writing to a String cannot fail.
-        let _ = writeln!(text, "{name},{},{pixels},{numbers}", view.split);
+        let _ = writeln!(text, "{},{},{pixels},{numbers}", csv_entry(&view.name), view.split);
     }
     text
+}
+
+/// A text as an entry of a CSV file, in quotation marks where it needs them.
+pub(crate) fn csv_entry(text: &str) -> String {
+    match text.contains([',', '"', '\n', '\r']) {
+        true => format!("\"{}\"", text.replace('"', "\"\"")),
+        false => text.to_owned(),
+    }
 }
 
 #[cfg(test)]
@@ -296,41 +231,21 @@ mod tests {
         LightLobe { axis: Vec3::Y, sharpness: 2.0, amplitude: Vec3::splat(amplitude) }
     }
 
-    fn said(views: &[(ViewOutcome, ViewSum)], factor: f32, amplitude: f32) -> Vec<String> {
-        warnings(views, vec![factor; views.len()], &[lobe(0.1), lobe(amplitude)])
-    }
-
-    #[test]
-    fn sound_views_give_no_warning() {
-        let views: Vec<_> = ["a", "b", "c"].iter().map(|name| view(name, 0.95, 0.02)).collect();
-        assert!(said(&views, 1.0, 3.0).is_empty());
-        assert!(warnings(&[], Vec::new(), &[]).is_empty());
-    }
-
     #[test]
     fn what_went_wrong_is_named_with_its_views() {
         let good = || ["a", "b", "c"].iter().map(|name| view(name, 0.95, 0.02)).collect::<Vec<_>>();
-        let with = |bad: (ViewOutcome, ViewSum)| said(&[good(), vec![bad]].concat(), 1.0, 3.0).join("\n");
+        let lobes = |amplitude| [lobe(0.1), lobe(amplitude)];
+        assert!(warnings(&good(), &lobes(3.0)).is_empty() && warnings(&[], &[]).is_empty());
+        let with =
+            |bad: (ViewOutcome, ViewSum)| warnings(&[good(), vec![bad]].concat(), &lobes(3.0)).join("\n");
         let (outcome, sum) = view("d", 0.95, 0.02);
-        assert!(
-            with((outcome.clone(), ViewSum { pool: 0, ..sum })).contains("no pixel of view `d` was used")
-        );
-        assert!(
-            with((outcome, ViewSum { observed: 1e-4, ..sum }))
-                .contains("black in the photograph of view `d`")
-        );
+        assert!(with((outcome, ViewSum { pool: 0, ..sum })).contains("no pixel of view `d` was used"));
         let stray = with(view("d", 0.3, 0.02));
-        assert!(stray.contains("less than 0.6 in view `d`") && !stray.contains("times"), "{stray}");
+        assert!(stray.contains("less than 0.6 in view `d`") && !stray.contains("together"), "{stray}");
         assert!(with(view("d", 0.95, 0.8)).contains("most pixels of view `d`"));
-        assert!(said(&good(), 1.0, 1e6).join("\n").contains("light lobe 1 ran away"));
-    }
-
-    #[test]
-    fn a_surface_that_all_masks_deny_is_off_by_a_factor() {
-        let views: Vec<_> = ["a", "b", "c"].iter().map(|name| view(name, 0.4, 0.02)).collect();
-        assert!(said(&views, 1.5, 3.0).join("\n").contains("1.50 times too large"));
-        assert!(said(&views, 0.5, 3.0).join("\n").contains("2.00 times too small"));
-        assert!(said(&views, 1.0, 3.0).join("\n").contains("belong together"));
+        assert!(warnings(&good(), &lobes(1e6)).join("\n").contains("light lobe 1 ran away"));
+        let all = [view("a", 0.4, 0.02), view("b", 0.4, 0.02)];
+        assert!(warnings(&all, &lobes(3.0)).join("\n").contains("belong together"));
     }
 
     #[test]

@@ -1,15 +1,31 @@
-//! The arguments of COLMAP's commands, and what its output says of their progress.
+//! COLMAP: its arguments, what its output says of progress, and the steps that run it: features, matching, mapping, undistortion.
 
-use crate::error::{Error, Result};
-use crate::prepare::program::Program;
-use std::ffi::OsString;
-use std::path::{Path, PathBuf};
+use crate::prepare::photographs::{FEWEST, PhotographFile};
+use crate::prepare::work::{Program, Work, make_folder_of, remove, words};
+use crate::prepare::{Matching, PrepareOptions, Prepared};
+use image::codecs::jpeg::JpegEncoder;
+use image::{DynamicImage, GrayImage};
+use lobelia_geometry::error::stop::check_interrupted;
+use lobelia_geometry::error::{Error, Result};
+use lobelia_io::codec::file::{read_bytes, write_bytes};
+use lobelia_io::codec::image::{decode, image_header};
+use lobelia_io::codec::nearby::missing_file_help;
+use lobelia_io::codec::png_file::write_gray8;
+use lobelia_io::dataset::colmap::{LargestModel, largest_model};
+use std::collections::BTreeSet;
+use std::ffi::{OsStr, OsString};
+use std::fs;
+use std::path::Path;
 
-/// What to do without COLMAP.
-pub(super) const INSTALL: &str = "Install COLMAP (Debian and Ubuntu: `apt install colmap`; macOS: `brew install colmap`; else see \
-                                  colmap.github.io), or name the program with `--colmap PROGRAM`.";
-/// Photographs that are held in memory at once while all pairs are matched; progress is reported per pair of such blocks.
-const MATCHING_BLOCK: usize = 10;
+/// Help for a missing COLMAP.
+const INSTALL: &str = "Install COLMAP (Debian and Ubuntu: `apt install colmap`; macOS: `brew install colmap`; else see \
+                       colmap.github.io), or name the program with `--colmap PROGRAM`.";
+/// Command, option and its value: matches of all pairs, with so many photographs in memory at once
+/// (progress is reported per pair of such blocks); and of each with so many neighbors on each side.
+const EXHAUSTIVE: [&str; 3] = ["exhaustive_matcher", "--ExhaustiveMatching.block_size", "10"];
+const SEQUENTIAL: [&str; 3] = ["sequential_matcher", "--SequentialMatching.overlap", "20"];
+/// Photographs and frames of a video up to which all pairs are matched.
+const MOST_EXHAUSTIVE: [usize; 2] = [500, 100];
 /// Largest distance in pixels of a feature from its point, in photographs of [`ERROR_SIDE`] pixels and smaller ones. COLMAP's own 4 lets
 /// through enough mismatches to turn single cameras by a degree.
 const LEAST_ERROR: f64 = 1.2;
@@ -17,100 +33,23 @@ const LEAST_ERROR: f64 = 1.2;
 const MOST_ERROR: f64 = 4.0;
 /// Longer side of a photograph whose features are good to [`LEAST_ERROR`]; in larger ones the distance grows with the side.
 const ERROR_SIDE: f64 = 1600.0;
-/// Neighbors that each frame of a sequence is matched with, on each side.
-const SEQUENCE_OVERLAP: usize = 20;
-
-/// The distortion of the lens that COLMAP estimates.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum LensModel {
-    /// None, one focal length.
-    SimplePinhole,
-    /// None, two focal lengths.
-    Pinhole,
-    /// One radial coefficient.
-    #[default]
-    SimpleRadial,
-    /// Two radial coefficients.
-    Radial,
-    /// Two radial and two tangential coefficients, two focal lengths.
-    OpenCv,
-    /// A fisheye lens with four coefficients.
-    OpenCvFisheye,
-}
-
-impl LensModel {
-    /// COLMAP's name of it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::SimplePinhole => "SIMPLE_PINHOLE",
-            Self::Pinhole => "PINHOLE",
-            Self::SimpleRadial => "SIMPLE_RADIAL",
-            Self::Radial => "RADIAL",
-            Self::OpenCv => "OPENCV",
-            Self::OpenCvFisheye => "OPENCV_FISHEYE",
-        }
-    }
-}
-
-/// Which photographs share a camera: focal length, center and distortion.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum CameraSharing {
-    /// All of the same size and EXIF focal length.
-    #[default]
-    Shared,
-    /// None: each has its own.
-    PerImage,
-}
-
-/// How `feature_extractor` treats cameras.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Cameras {
-    One,
-    PerFolder,
-    PerImage,
-}
-
-/// Which pairs of photographs are matched.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Pairs {
-    All,
-    /// Those near each other by name.
-    Sequence,
-    /// Those in a file, two names a line.
-    Listed(PathBuf),
-}
+/// How often points are found anew and cameras adjusted.
+const ROUNDS: u64 = 3;
+/// Fewest photographs of one camera that determine the center of its image.
+const FEWEST_FOR_CENTER: usize = 20;
+/// Grays of a resampled mask this near to black and white are these: the noise of its compression.
+const MASK_NOISE: u8 = 8;
+/// Part of a side that a photograph keeps when it is undistorted. COLMAP leaves no less than 0.2.
+const LEAST_LEFT: f64 = 0.4;
+/// Help where cameras are not found.
+const NO_CAMERAS_HELP: &str = "Neighboring photographs must overlap by 60 % and more and be sharp, and the object needs texture. On a \
+                               turntable, give masks and `--features object`; before a plain object, leave that out.";
 
 /// COLMAP as it is installed here.
 pub(super) struct Colmap {
-    pub program: Program,
-    /// Whether the graphics card extracts and matches features.
-    pub gpu: bool,
-    naming: Naming,
-}
-
-/// Names of options that versions of COLMAP do not share: from 3.12 on, those of all kinds of features have groups of their own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Naming {
-    Sift,
-    Feature,
-}
-
-impl Naming {
-    fn of_help(help: &str) -> Self {
-        if help.contains("FeatureExtraction.use_gpu") { Self::Feature } else { Self::Sift }
-    }
-
-    fn extraction(self, option: &str) -> String {
-        let group = if self == Self::Sift { "SiftExtraction" } else { "FeatureExtraction" };
-        format!("--{group}.{option}")
-    }
-
-    fn matching(self, option: &str) -> String {
-        let group = if self == Self::Sift { "SiftMatching" } else { "FeatureMatching" };
-        format!("--{group}.{option}")
-    }
+    program: Program,
+    /// Options that let features and matches use the graphics card: version 3.12 renamed their groups.
+    use_gpu: [&'static str; 2],
 }
 
 impl Colmap {
@@ -118,149 +57,274 @@ impl Colmap {
     ///
     /// # Errors
     /// [`Error::Usage`] that says how to install it.
-    pub fn find(path: PathBuf, gpu: bool) -> Result<Self> {
-        let program = Program { path, install: INSTALL };
+    pub fn find(path: &Path) -> Result<Self> {
+        let program = Program { path: path.to_owned(), install: INSTALL };
         let help = program.help(&["feature_extractor", "-h"])?;
         if !help.contains("ImageReader.single_camera") {
-            let problem = format!("the program {} is not COLMAP, or cannot run", program.path.display());
+            let problem = format!("the program {} is not COLMAP, or cannot run", path.display());
             return Err(Error::usage(problem, INSTALL));
         }
-        Ok(Self { program, gpu, naming: Naming::of_help(&help) })
+        let use_gpu = if help.contains("FeatureExtraction.use_gpu") {
+            ["--FeatureExtraction.use_gpu", "--FeatureMatching.use_gpu"]
+        } else {
+            ["--SiftExtraction.use_gpu", "--SiftMatching.use_gpu"]
+        };
+        Ok(Self { program, use_gpu })
     }
+}
 
-    fn use_gpu(&self) -> OsString {
-        if self.gpu { "1".into() } else { "0".into() }
-    }
+/// Photographs whose cameras are to be found.
+pub(super) struct Reconstruction<'a> {
+    pub options: &'a PrepareOptions,
+    pub colmap: Colmap,
+    pub photographs: &'a [PhotographFile],
+    pub is_video: bool,
+    pub has_masks: bool,
+}
 
-    /// Features of all photographs; with `masks`, of those parts that a mask does not show as black.
-    pub fn features(
-        &self,
-        database: &Path,
-        images: &Path,
-        masks: Option<&Path>,
-        lens: LensModel,
-        cameras: Cameras,
-    ) -> Vec<OsString> {
-        let mut words =
-            words("feature_extractor", &[("--database_path", database), ("--image_path", images)]);
-        words.extend(["--ImageReader.camera_model", lens.name()].map(OsString::from));
-        words.extend(cameras.words().map(OsString::from));
-        if let Some(masks) = masks {
-            words.extend(["--ImageReader.mask_path".into(), masks.as_os_str().to_owned()]);
-        }
-        words.extend([self.naming.extraction("use_gpu").into(), self.use_gpu()]);
-        words
-    }
-
-    /// Matches of features.
-    pub fn matching(&self, database: &Path, pairs: &Pairs) -> Vec<OsString> {
-        let mut words = words(pairs.command(), &[("--database_path", database)]);
-        words.extend([self.naming.matching("use_gpu").into(), self.use_gpu()]);
-        words.extend(match pairs {
-            Pairs::All => ["--ExhaustiveMatching.block_size".into(), MATCHING_BLOCK.to_string().into()],
-            Pairs::Sequence => ["--SequentialMatching.overlap".into(), SEQUENCE_OVERLAP.to_string().into()],
-            Pairs::Listed(file) => ["--match_list_path".into(), file.as_os_str().to_owned()],
-        });
-        words
-    }
-
-    /// Matches of features where parts of a photograph move apart from each other: several motions are found in each pair.
+impl Reconstruction<'_> {
+    /// Does all steps. What they make lies in `data` of `work`, as `images`, `masks` and `sparse`.
     ///
     /// # Errors
-    /// [`Error::Run`] if the program does not say what its options are.
-    pub fn moving_matching(&self, database: &Path, pairs: &Pairs) -> Result<Vec<OsString>> {
-        let help = self.program.help(&[pairs.command(), "-h"])?;
-        // Version 3.9 has given the option another name.
-        let option = ["--TwoViewGeometry.multiple_models", "--SiftMatching.multiple_models"];
-        let known = option.into_iter().find(|option| help.contains(option));
-        let mut words = self.matching(database, pairs);
-        words.extend(known.into_iter().flat_map(|option| [option, "1"]).map(OsString::from));
-        Ok(words)
-    }
-
-    /// Cameras and points, as one or several models in folders of `models` with numbers as names. `side` is the longest side of the
-    /// photographs in pixels.
-    pub fn mapping(database: &Path, images: &Path, models: &Path, side: u32) -> Vec<OsString> {
-        let paths = [("--database_path", database), ("--image_path", images), ("--output_path", models)];
-        let mut words = words("mapper", &paths);
-        words.extend(largest_error(side));
-        words
-    }
-
-    /// The cameras of a model with all its points found anew, into `output`. `side` is that of [`mapping`](Self::mapping).
-    pub fn triangulation(
-        database: &Path,
-        images: &Path,
-        model: &Path,
-        output: &Path,
-        side: u32,
-    ) -> Vec<OsString> {
-        let paths = [
-            ("--database_path", database),
-            ("--image_path", images),
-            ("--input_path", model),
-            ("--output_path", output),
-        ];
-        let mut words = words("point_triangulator", &paths);
-        words.extend(["--clear_points", "1"].map(OsString::from));
-        words.extend(largest_error(side));
-        words
-    }
-
-    /// The same model with points, poses and cameras moved to where points project best, and the cameras' centers as well if these are
-    /// to be found, which a mapper takes for the middle of the image.
-    pub fn adjustment(model: &Path, output: &Path, finds_center: bool) -> Vec<OsString> {
-        let mut words = words("bundle_adjuster", &[("--input_path", model), ("--output_path", output)]);
-        if finds_center {
-            words.extend(["--BundleAdjustment.refine_principal_point", "1"].map(OsString::from));
+    /// Errors of [`prepare`](crate::prepare::prepare).
+    pub fn run(&self, work: &mut Work) -> Result<Prepared> {
+        let Self { options, photographs, .. } = self;
+        let gpu = if options.gpu { "1" } else { "0" };
+        let cameras = if options.camera_per_image {
+            "--ImageReader.single_camera_per_image"
+        } else if photographs.iter().any(|photograph| photograph.name.contains('/')) {
+            "--ImageReader.single_camera_per_folder"
+        } else {
+            "--ImageReader.single_camera"
+        };
+        let lens = ("--ImageReader.camera_model", &options.lens as _);
+        let mut features = over_photographs(work, "feature_extractor", &[lens, (cameras, &"1")]);
+        // Features of all of the photographs, or of those parts that a mask does not show as black.
+        let on_object = self.has_masks && options.object_features;
+        if on_object {
+            features.extend(["--ImageReader.mask_path".into(), work.path("masks").into_os_string()]);
         }
-        words
+        features.extend([self.colmap.use_gpu[0], gpu].map(OsString::from));
+        work.step("features", &format!("{features:?}"), |work| {
+            for end in ["", "-wal", "-shm"] {
+                remove(&work.path(&format!("database.db{end}")))?;
+            }
+            self.colmap(work, "features", photographs.len(), &features)
+        })?;
+        let is_few = photographs.len() <= MOST_EXHAUSTIVE[usize::from(self.is_video)];
+        if !is_few && options.matching == Matching::Auto {
+            work.progress.note(
+                "photographs are matched with their neighbors by name only, because they are many; --matching exhaustive matches all pairs",
+            );
+        }
+        let is_sequence = match options.matching {
+            Matching::Auto => !is_few,
+            matching => matching == Matching::Sequential,
+        };
+        let [command, option, value] = if is_sequence { SEQUENTIAL } else { EXHAUSTIVE };
+        let matching = words(
+            command,
+            &[
+                ("--database_path", &work.path("database.db")),
+                (self.colmap.use_gpu[1], &gpu),
+                (option, &value),
+            ],
+        );
+        work.step("matching", &format!("{matching:?}"), |work| {
+            self.colmap(work, "matching", 100, &matching)
+        })?;
+        work.step("mapping", "", |work| self.map(work))?;
+        let LargestModel { folder, names, note } =
+            largest_model(&work.path("models"))?.ok_or_else(|| self.no_cameras("COLMAP made no model"))?;
+        note.iter().for_each(|note| work.progress.note(note));
+        if names.len() < FEWEST {
+            let problem = format!("COLMAP found the cameras of {} photographs only", names.len());
+            return Err(self.no_cameras(&problem));
+        }
+        // The center of the image moves like a turn of the camera: only many photographs of one camera with features over the whole
+        // frame tell the two apart.
+        let refines = cameras.ends_with("single_camera") && !on_object && names.len() >= FEWEST_FOR_CENTER;
+        let model = if refines { work.path("refined") } else { folder.clone() };
+        work.step("refinement", &format!("{refines} {}", folder.display()), |work| {
+            if refines { self.refine(work, &folder) } else { Ok(()) }
+        })?;
+        work.step("undistortion", &options.keep_distortion.to_string(), |work| {
+            if options.keep_distortion {
+                self.copy(work, &model, &names)
+            } else {
+                self.undistort(work, &model, &names)
+            }
+        })?;
+        let (mut error, analysis) = (None, words("model_analyzer", &[("--path", &model)]));
+        // Without this number, all is there.
+        let _ = self.colmap.program.run(&analysis, &work.log("analysis"), |line| {
+            let told =
+                line.split_once("Mean reprojection error: ").map(|(_, told)| told.trim_end_matches("px"));
+            error = told.and_then(|told| told.parse::<f64>().ok()).or(error);
+        });
+        check_interrupted()?;
+        let left_out = photographs.iter().map(|photograph| photograph.name.clone());
+        Ok(Prepared {
+            photographs: photographs.len(),
+            video_frames: None,
+            left_out: left_out.filter(|name| !names.contains(name)).collect(),
+            reprojection_error: error.filter(|error| *error > 0.0),
+            scene: None,
+        })
     }
 
-    /// Photographs without distortion, and their cameras.
-    pub fn undistortion(images: &Path, model: &Path, output: &Path) -> Vec<OsString> {
-        let paths = [("--image_path", images), ("--input_path", model), ("--output_path", output)];
-        words("image_undistorter", &paths)
+    fn no_cameras(&self, problem: &str) -> Error {
+        Error::input(&self.options.photographs, "", problem, NO_CAMERAS_HELP)
     }
-}
 
-/// The largest distance of a feature from its point's projection in photographs of this longer side in pixels.
-fn largest_error(side: u32) -> [OsString; 2] {
-    let error = (LEAST_ERROR * f64::from(side) / ERROR_SIDE).clamp(LEAST_ERROR, MOST_ERROR);
-    ["--Mapper.filter_max_reproj_error".into(), error.to_string().into()]
-}
+    /// Runs one of COLMAP's commands under a bar of `length` steps.
+    fn colmap(&self, work: &Work, name: &str, length: usize, words: &[OsString]) -> Result<()> {
+        let length = length as u64;
+        work.run(name, &self.colmap.program, words, length, |line| steps_done(line, length))
+    }
 
-impl Pairs {
-    fn command(&self) -> &'static str {
-        match self {
-            Self::All => "exhaustive_matcher",
-            Self::Sequence => "sequential_matcher",
-            Self::Listed(_) => "matches_importer",
+    /// Cameras and points, as one or several models in folders of `models` with numbers as names.
+    fn map(&self, work: &Work) -> Result<()> {
+        let models = work.emptied("models")?;
+        let error = ("--Mapper.filter_max_reproj_error", &self.largest_error() as _);
+        let words = over_photographs(work, "mapper", &[("--output_path", &models), error]);
+        let ran = self.colmap(work, "mapping", self.photographs.len(), &words);
+        let is_empty = fs::read_dir(&models).map_err(Error::io("read", &models))?.next().is_none();
+        let log = fs::read(work.log("mapping")).unwrap_or_default();
+        let log = String::from_utf8_lossy(&log);
+        let no_pair =
+            log.contains("failed to create sparse model") || log.contains("No good initial image pair");
+        match ran {
+            Ok(()) | Err(Error::Run { .. }) if is_empty && no_pair => {
+                Err(self.no_cameras("COLMAP found no pair of photographs to start from"))
+            }
+            ran => ran,
         }
     }
-}
 
-impl Cameras {
-    fn words(self) -> [&'static str; 2] {
-        match self {
-            Self::One => ["--ImageReader.single_camera", "1"],
-            Self::PerFolder => ["--ImageReader.single_camera_per_folder", "1"],
-            Self::PerImage => ["--ImageReader.single_camera_per_image", "1"],
+    /// The largest distance of a feature from its point's projection, by the longest side of the photographs.
+    fn largest_error(&self) -> String {
+        let side = self.photographs.iter().flat_map(|photograph| photograph.size).max().unwrap_or_default();
+        (LEAST_ERROR * f64::from(side) / ERROR_SIDE).clamp(LEAST_ERROR, MOST_ERROR).to_string()
+    }
+
+    /// Finds the center of the image too, which a mapper takes for its middle: points are found anew and cameras adjusted, several times.
+    fn refine(&self, work: &Work, model: &Path) -> Result<()> {
+        let [refined, points] = [work.emptied("refined")?, work.emptied("points")?];
+        let run = |words: &[OsString]| self.colmap.program.run(words, &work.log("refinement"), |_| ());
+        let adjust = |from: &Path| {
+            let center = ("--BundleAdjustment.refine_principal_point", &"1" as _);
+            run(&words("bundle_adjuster", &[("--input_path", &from), ("--output_path", &refined), center]))
+        };
+        let triangulation = over_photographs(
+            work,
+            "point_triangulator",
+            &[
+                ("--input_path", &refined),
+                ("--output_path", &points),
+                ("--clear_points", &"1"),
+                ("--Mapper.filter_max_reproj_error", &self.largest_error()),
+            ],
+        );
+        let bar = work.progress.bar("refinement", ROUNDS);
+        adjust(model)?;
+        for _ in 0..ROUNDS {
+            run(&triangulation)?;
+            adjust(&points)?;
+            bar.inc(1);
         }
+        bar.finish_and_clear();
+        Ok(())
+    }
+
+    /// The data set of a model with its distortion: files under the same names, what links lead to instead of links.
+    fn copy(&self, work: &Work, model: &Path, names: &BTreeSet<String>) -> Result<()> {
+        let data = work.emptied("data")?;
+        let copy = |name: &str, from: &Path, to: &str| {
+            check_interrupted()?;
+            let (source, target) = (from.join(name), data.join(to).join(name));
+            make_folder_of(&target)?;
+            fs::copy(&source, &target).map(|_| ()).map_err(Error::io("copy", &source))
+        };
+        for name in names {
+            copy(name, &work.path("photographs"), "images")?;
+            if self.has_masks {
+                copy(&format!("{name}.png"), &work.path("masks"), "masks")?;
+            }
+        }
+        for file in fs::read_dir(model).map_err(Error::io("read", model))?.flatten() {
+            copy(&file.file_name().to_string_lossy(), model, "sparse")?;
+        }
+        Ok(())
+    }
+
+    /// The data set of a model without its distortion. COLMAP undistorts photographs; masks are
+    /// given to it as photographs of these names, so that they are moved alike.
+    fn undistort(&self, work: &Work, model: &Path, names: &BTreeSet<String>) -> Result<()> {
+        if self.photographs.iter().any(|photograph| photograph.is_deep) {
+            let note = "COLMAP writes undistorted photographs with 8 bits; --keep-distortion keeps all 16";
+            work.progress.note(note);
+        }
+        let run = |name: &str, images: &Path, output: &Path| {
+            let words = words(
+                "image_undistorter",
+                &[("--image_path", &images), ("--input_path", &model), ("--output_path", &output)],
+            );
+            self.colmap(work, name, names.len(), &words)
+        };
+        let data = work.emptied("data")?;
+        run("undistortion", &work.path("photographs"), &data)?;
+        // Cameras whose distortion leaves little of a photograph were found by what does not move as the object does.
+        for photograph in self.photographs.iter().filter(|photograph| names.contains(&photograph.name)) {
+            let header = image_header(data.join("images").join(&photograph.name))?;
+            let ([width, height], [w, h]) = (photograph.size, [header.width, header.height]);
+            let is_little = |left: u32, whole: u32| f64::from(left) < LEAST_LEFT * f64::from(whole);
+            if is_little(w, width) || is_little(h, height) {
+                let problem = format!(
+                    "the cameras that were found have a distortion that no lens has: undistorted, the \
+                     photograph has {w}×{h} of its {width}×{height} pixels"
+                );
+                let help = "Photographs of a turntable need masks and `--features object`; others more overlap, or one lens and zoom for all.";
+                return Err(Error::input(&photograph.source, "", problem, help));
+            }
+        }
+        if !self.has_masks {
+            return Ok(());
+        }
+        let (bent, straight) = (work.emptied("bent_masks")?, work.emptied("straight_masks")?);
+        for name in names {
+            check_interrupted()?;
+            let mask = read_mask(&work.path("masks").join(format!("{name}.png")))?;
+            write_as(&bent.join(name), &mask)?;
+        }
+        run("undistortion of masks", &bent, &straight)?;
+        for name in names {
+            let mut mask = read_mask(&straight.join("images").join(name))?;
+            for value in mask.iter_mut() {
+                *value = match *value {
+                    dark if dark <= MASK_NOISE => 0,
+                    light if light >= 255 - MASK_NOISE => 255,
+                    edge => edge,
+                };
+            }
+            write_gray8(data.join("masks").join(format!("{name}.png")), &mask)?;
+        }
+        Ok(())
     }
 }
 
-fn words(command: &str, paths: &[(&str, &Path)]) -> Vec<OsString> {
-    let mut words = vec![OsString::from(command)];
-    for (option, path) in paths {
-        words.extend([OsString::from(option), path.as_os_str().to_owned()]);
-    }
-    words
+/// The words of a command that reads the database and the photographs.
+fn over_photographs(work: &Work, command: &str, more: &[(&str, &dyn AsRef<OsStr>)]) -> Vec<OsString> {
+    let (database, images) = (work.path("database.db"), work.path("photographs"));
+    let mut options: Vec<(&str, &dyn AsRef<OsStr>)> =
+        vec![("--database_path", &database), ("--image_path", &images)];
+    options.extend(more);
+    words(command, &options)
 }
 
 /// How many of `whole` steps a line of output says are done: `Processed file [3/66]`, `Matching block [1/2, 2/2]`,
 /// `Registering image #7 (12)`.
-pub(super) fn steps_done(line: &str, whole: u64) -> Option<u64> {
+fn steps_done(line: &str, whole: u64) -> Option<u64> {
     if let Some(at) = line.find("Registering image #") {
         let count = line[at..].split_once('(')?.1.split(')').next()?;
         return count.rsplit('=').next()?.trim().parse().ok();
@@ -270,8 +334,9 @@ pub(super) fn steps_done(line: &str, whole: u64) -> Option<u64> {
         let (done, all) = text.trim().split_once('/')?;
         Some((done.parse().ok()?, all.parse().ok()?)).filter(|(done, all)| done <= all && *all > 0)
     };
-    let (done, all) = match inside.split(']').next()?.split_once(',') {
-        None => fraction(inside.split(']').next()?)?,
+    let inside = inside.split(']').next()?;
+    let (done, all) = match inside.split_once(',') {
+        None => fraction(inside)?,
         Some((row, column)) => {
             let ((row, rows), (column, columns)) = (fraction(row)?, fraction(column)?);
             (row.checked_sub(1)?.checked_mul(columns)?.checked_add(column)?, rows.checked_mul(columns)?)
@@ -280,83 +345,44 @@ pub(super) fn steps_done(line: &str, whole: u64) -> Option<u64> {
     Some((u128::from(whole) * u128::from(done) / u128::from(all)) as u64)
 }
 
+/// Reads a mask that this program or COLMAP wrote.
+fn read_mask(path: &Path) -> Result<GrayImage> {
+    let mask = decode(&read_bytes(path, missing_file_help)?);
+    let failed = |error| Error::run("undistorting masks", format!("{}: {error}", path.display()));
+    mask.map(DynamicImage::into_luma8).map_err(failed)
+}
+
+/// Writes a mask in the format of its name, without visible loss.
+fn write_as(path: &Path, mask: &GrayImage) -> Result<()> {
+    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
+        return write_gray8(path, mask);
+    }
+    let mut jpeg = Vec::new();
+    let encoded = mask.write_with_encoder(JpegEncoder::new_with_quality(&mut jpeg, 100));
+    encoded.map_err(|error| Error::run("undistorting masks", format!("{}: {error}", path.display())))?;
+    write_bytes(path, &jpeg)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn colmap(naming: Naming) -> Colmap {
-        Colmap { program: Program { path: "colmap".into(), install: INSTALL }, gpu: false, naming }
-    }
-
-    fn joined(words: &[OsString]) -> String {
-        words.iter().map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ")
-    }
-
-    #[test]
-    fn arguments_say_what_is_wanted() {
-        let colmap = colmap(Naming::Sift);
-        let masks = Some(Path::new("m"));
-        let words = colmap.features(Path::new("db"), Path::new("i"), masks, LensModel::Radial, Cameras::One);
-        assert_eq!(
-            joined(&words),
-            "feature_extractor --database_path db --image_path i --ImageReader.camera_model RADIAL \
-             --ImageReader.single_camera 1 --ImageReader.mask_path m --SiftExtraction.use_gpu 0"
-        );
-        let words = colmap.matching(Path::new("db"), &Pairs::Sequence);
-        assert!(joined(&words).starts_with("sequential_matcher --database_path db --SiftMatching.use_gpu 0"));
-        assert!(joined(&words).ends_with("--SequentialMatching.overlap 20"));
-        for (side, error) in [(800, "1.2"), (3200, "2.4"), (12_000, "4")] {
-            let words = joined(&Colmap::mapping(Path::new("db"), Path::new("i"), Path::new("m"), side));
-            assert!(
-                words.ends_with(&format!("--output_path m --Mapper.filter_max_reproj_error {error}")),
-                "{words}"
-            );
-        }
-        let words = colmap.matching(Path::new("db"), &Pairs::Listed("pairs.txt".into()));
-        assert_eq!(
-            joined(&words),
-            "matches_importer --database_path db --SiftMatching.use_gpu 0 --match_list_path pairs.txt"
-        );
-        let [db, images, model] = ["db", "i", "m"].map(Path::new);
-        let words = joined(&Colmap::triangulation(db, images, model, Path::new("t"), 1600));
-        assert!(
-            words.ends_with("--output_path t --clear_points 1 --Mapper.filter_max_reproj_error 1.2"),
-            "{words}"
-        );
-        let words = Colmap::undistortion(Path::new("i"), Path::new("m/0"), Path::new("d"));
-        assert_eq!(joined(&words), "image_undistorter --image_path i --input_path m/0 --output_path d");
-    }
-
-    #[test]
-    fn newer_versions_have_other_names() {
-        assert_eq!(Naming::of_help("--SiftExtraction.use_gpu arg"), Naming::Sift);
-        let naming = Naming::of_help("  --FeatureExtraction.use_gpu arg (=1)");
-        let words = joined(&colmap(naming).matching(Path::new("db"), &Pairs::All));
-        assert!(words.contains("--FeatureMatching.use_gpu 0"), "{words}");
-        assert!(!words.contains("Sift"), "{words}");
-    }
-
     #[test]
     fn progress_is_read_from_output() {
-        assert_eq!(steps_done("Processed file [3/66]", 66), Some(3));
-        assert_eq!(steps_done("I20260101 feature_extraction.cc:254] Processed file [33/66]", 66), Some(33));
-        assert_eq!(steps_done("Matching block [1/2, 2/2] in 8.1s", 100), Some(50));
-        assert_eq!(steps_done("Matching block [2/2, 2/2] in 8.1s", 100), Some(100));
-        assert_eq!(steps_done("Registering image #3 (5)", 66), Some(5));
-        assert_eq!(steps_done("Registering image #3 (num_reg_frames=5)", 66), Some(5));
-        assert_eq!(steps_done("Undistorting image [2/4]", 8), Some(4));
-        let no_progress = [
-            "",
-            "Name: a[1/2].jpg",
-            "Processed file [x/3]",
-            "Processed file [1/0]",
-            "file [9/3]",
-            "block [0/2, 1/2]",
-            "Registering image #3",
-            "Registering image #3 (many)",
-        ];
-        for other in no_progress {
-            assert_eq!(steps_done(other, 10), None, "{other}");
+        for (line, whole, done) in [
+            ("Processed file [3/66]", 66, Some(3)),
+            ("I20260101 feature_extraction.cc:254] Processed file [33/66]", 66, Some(33)),
+            ("Matching block [1/2, 2/2] in 8.1s", 100, Some(50)),
+            ("Registering image #3 (5)", 66, Some(5)),
+            ("Registering image #3 (num_reg_frames=5)", 66, Some(5)),
+            ("Undistorting image [2/4]", 8, Some(4)),
+            ("Name: a[1/2].jpg", 10, None),
+            ("Processed file [1/0]", 10, None),
+            ("file [9/3]", 10, None),
+            ("block [0/2, 1/2]", 10, None),
+            ("Registering image #3 (many)", 10, None),
+        ] {
+            assert_eq!(steps_done(line, whole), done, "{line}");
         }
     }
 }

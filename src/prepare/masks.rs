@@ -1,193 +1,222 @@
 //! Masks of the photographs, from one of several sources, each checked before it is used.
 
-use crate::codec::file::read_folder;
-use crate::codec::image::Orientation::AsStored;
-use crate::codec::image::{Gamma, decode_picture, image_header, read_image, read_mask};
-use crate::codec::nearby::missing_file_help;
-use crate::codec::png_file::write_gray8;
-use crate::dataset::mask_stems;
-use crate::error::stop::check_interrupted;
-use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
-use crate::prepare::backdrop::mask_before_backdrop;
+use crate::prepare::PrepareOptions;
 use crate::prepare::photographs::PhotographFile;
-use crate::prepare::program::Program;
+use crate::prepare::work::{Program, Work, make_folder_of, remove};
 use image::metadata::Orientation;
 use image::{DynamicImage, GrayImage};
-use std::collections::BTreeMap;
-use std::ffi::OsString;
-use std::fs;
+use lobelia_geometry::error::stop::check_interrupted;
+use lobelia_geometry::error::{Error, Result};
+use lobelia_io::codec::image::Orientation::AsStored;
+use lobelia_io::codec::image::{Gamma, image_header, read_image, read_mask};
+use lobelia_io::codec::nearby::missing_file_help;
+use lobelia_io::codec::png_file::write_gray8;
+use lobelia_io::dataset::files::{StemIndex, file_name, find_mask};
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
 /// Where masks come from.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum MaskSource {
-    /// The photographs' alpha, if all of them have it; else there are none.
-    #[default]
-    Alpha,
+    /// The photographs' alpha, if all of them have it; else `rembg`, if it is installed; else there are none.
+    Auto,
     /// A folder of images, by the names of the photographs: white is the object, or a cutout with alpha.
     Folder(PathBuf),
     /// A command per photograph, with `{in}` for the photograph and `{out}` for the mask (`.png`) that it writes.
     Command(String),
-    /// The photographs themselves, taken before a plain backdrop.
-    Backdrop,
 }
 
-/// What to do about a command that cannot be used.
-const COMMAND_HELP: &str = "Give a command such as 'rembg i {in} {out}': {in} is the photograph, {out} the mask that it writes, a PNG.";
+/// The model of rembg: the weights of its default one are not free for all uses.
+const MODEL: &str = "isnet-general-use";
+/// Help for a command that cannot be used.
+const COMMAND_HELP: &str = "Give a command such as 'rembg i -om {in} {out}': {in} is the photograph, {out} the mask that it writes, a PNG.";
 
 impl MaskSource {
     /// # Errors
     /// [`Error::Usage`] if a command has no `{in}` or `{out}`, or unbalanced quotes.
     pub fn check(&self) -> Result<()> {
         let Self::Command(command) = self else { return Ok(()) };
-        let Some(words) = shlex::split(command).filter(|words| !words.is_empty()) else {
-            return Err(Error::usage(
-                format!("the mask command `{command}` is no command line"),
-                COMMAND_HELP,
-            ));
-        };
-        match ["{in}", "{out}"].into_iter().find(|mark| !words[1..].iter().any(|word| word.contains(mark))) {
-            Some(mark) => {
-                Err(Error::usage(format!("the mask command `{command}` has no {mark}"), COMMAND_HELP))
+        let words = shlex::split(command).unwrap_or_default();
+        let problem = match words.split_first() {
+            None => "is no command line".to_owned(),
+            Some((_, words)) => {
+                let is_missing = |mark: &&str| !words.iter().any(|word| word.contains(mark));
+                let Some(mark) = ["{in}", "{out}"].into_iter().find(is_missing) else { return Ok(()) };
+                format!("has no {mark}")
             }
-            None => Ok(()),
-        }
-    }
-
-    /// Whether there will be masks.
-    pub(super) fn gives_masks(&self, photographs: &[PhotographFile]) -> bool {
-        *self != Self::Alpha || photographs.iter().all(|photograph| photograph.has_alpha)
+        };
+        Err(Error::usage(format!("the mask command `{command}` {problem}"), COMMAND_HELP))
     }
 }
 
-/// Writes the mask of each photograph as `masks/NAME.png`, gray, of the photograph's size. `images` has the photographs under their
-/// names.
-///
-/// # Errors
-/// [`Error::Input`] that names the photograph if its mask is missing, of another size, or all black or white; errors of the command.
-pub(super) fn write_masks(
-    source: &MaskSource,
-    photographs: &[PhotographFile],
-    images: &Path,
-    masks: &Path,
-    log: &Path,
-    progress: &dyn Progress,
-) -> Result<()> {
-    let bar = progress.bar("masks", photographs.len() as u64);
-    let folder = match source {
-        MaskSource::Folder(folder) => Some(MaskFolder::open(folder)?),
-        _ => None,
-    };
-    for photograph in photographs {
-        check_interrupted()?;
-        let image = images.join(&photograph.name);
-        let to = masks.join(format!("{}.png", photograph.name));
-        let parent = to.parent().unwrap_or(masks);
-        fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
-        let (file, mask) = match (source, &folder) {
-            (MaskSource::Command(command), _) => {
-                (to.clone(), by_command(command, photograph, &image, &to, log)?)
-            }
-            (_, Some(folder)) => {
-                let file = folder.of(photograph)?;
-                let mask = as_stored(mask_of_file(&file)?, photograph);
-                (file, mask)
-            }
-            (MaskSource::Backdrop, _) => (photograph.source.clone(), before_backdrop(&photograph.source)?),
-            _ => (photograph.source.clone(), alpha_of(&image)?),
-        };
-        check(&mask, photograph, &file)?;
-        write_gray8(&to, &mask)?;
-        bar.inc(1);
+/// Maker of the masks.
+#[derive(Debug)]
+pub(super) enum MaskMaker {
+    Alpha,
+    Folder(PathBuf),
+    Command(String),
+    Rembg(PathBuf),
+}
+
+impl MaskMaker {
+    /// Returns the maker of these photographs' masks, if there are to be any; else a note says how
+    /// there would be.
+    pub fn of(
+        options: &PrepareOptions,
+        photographs: &[PhotographFile],
+        progress: &dyn Progress,
+    ) -> Option<Self> {
+        match &options.masks {
+            MaskSource::Folder(folder) => return Some(Self::Folder(folder.clone())),
+            MaskSource::Command(command) => return Some(Self::Command(command.clone())),
+            MaskSource::Auto => {}
+        }
+        let with_alpha = photographs.iter().filter(|photograph| photograph.has_alpha).count();
+        if with_alpha == photographs.len() {
+            return Some(Self::Alpha);
+        }
+        if with_alpha > 0 {
+            progress.note("some photographs have alpha and some have none: no alpha is taken as mask");
+        }
+        if is_installed(&options.rembg, &std::env::var_os("PATH").unwrap_or_default()) {
+            progress.note("rembg makes the masks: look at them; --masks or --mask-command give others");
+            return Some(Self::Rembg(options.rembg.clone()));
+        }
+        progress.note(
+            "there will be no masks; for some, install rembg (`pip install \"rembg[cpu,cli]\"`), give --mask-command or --masks DIR, or \
+             photographs with alpha",
+        );
+        None
     }
-    bar.finish_and_clear();
-    Ok(())
+
+    /// Writes the mask of each photograph as `masks/NAME.png` of `work`, gray, of the photograph's size.
+    ///
+    /// # Errors
+    /// [`Error::Input`] that names the photograph if its mask is missing, of another size, or all black or white; errors of the command.
+    pub fn write(&self, photographs: &[PhotographFile], work: &Work) -> Result<()> {
+        let images = work.path("photographs");
+        let bar = work.progress.bar("masks", photographs.len() as u64);
+        let folder = match self {
+            Self::Folder(folder) => Some(masks_of(folder)?),
+            Self::Rembg(rembg) => {
+                // In one call, since it reads its model anew in each.
+                let masks = work.emptied("rembg")?;
+                let mut words: Vec<OsString> = ["p", "-m", MODEL, "-om"].map(OsString::from).into();
+                words.extend([&images, &masks].map(Into::into));
+                let rembg = Program { path: rembg.clone(), install: "Install it, or give --mask-command." };
+                rembg.run(&words, &work.log("masks"), |_| ())?;
+                Some(masks_of(&masks)?)
+            }
+            Self::Alpha | Self::Command(_) => None,
+        };
+        for photograph in photographs {
+            check_interrupted()?;
+            let image = images.join(&photograph.name);
+            let to = work.path("masks").join(format!("{}.png", photograph.name));
+            make_folder_of(&to)?;
+            let (file, mask) = match (self, &folder) {
+                (Self::Command(command), _) => {
+                    (to.clone(), by_command(command, photograph, &image, &to, &work.log("masks"))?)
+                }
+                (_, Some(folder)) => {
+                    let file = find_mask(folder, &file_name(&photograph.source))?;
+                    let mask = as_stored(mask_of_file(&file)?, photograph);
+                    (file, mask)
+                }
+                _ => {
+                    let loaded = read_image(&image, Gamma::Linear, AsStored)?;
+                    let Some(alpha) = &loaded.alpha else {
+                        let problem = "the photograph has no alpha";
+                        return Err(Error::input(&image, "", problem, "Give masks with --masks DIR."));
+                    };
+                    (photograph.source.clone(), gray(loaded.image.width, loaded.image.height, alpha))
+                }
+            };
+            check(&mask, photograph, &file)?;
+            write_gray8(&to, &mask)?;
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        Ok(())
+    }
+}
+
+/// Whether a program, a name in a folder of `path` or a path of its own, is there.
+fn is_installed(program: &Path, path: &OsStr) -> bool {
+    let is_name = program.components().count() == 1;
+    let in_folders = || std::env::split_paths(path).any(|folder| folder.join(program).is_file());
+    if is_name { in_folders() } else { program.is_file() }
+}
+
+fn masks_of(folder: &Path) -> Result<StemIndex> {
+    let missing = || Error::input(folder, "", "there is no such folder", missing_file_help(folder));
+    StemIndex::of_folder(folder)?.ok_or_else(missing)
 }
 
 fn check(mask: &GrayImage, photograph: &PhotographFile, file: &Path) -> Result<()> {
-    let [width, height] = photograph.size;
+    let PhotographFile { name, size: [width, height], .. } = photograph;
     let wrong = |problem: String, help: &str| Err(Error::input(file, "", problem, help));
-    if mask.dimensions() != (width, height) {
+    if mask.dimensions() != (*width, *height) {
         let (w, h) = mask.dimensions();
-        let problem =
-            format!("the mask is {w}×{h} pixels, the photograph {} {width}×{height}", photograph.name);
+        let problem = format!("the mask is {w}×{h} pixels, the photograph {name} {width}×{height}");
         return wrong(problem, "Make the masks of the same photographs, at full size.");
     }
     let full = mask.iter().filter(|value| **value >= 224).count();
     let between = mask.iter().filter(|value| (32..224).contains(*value)).count();
     if between > full && between > mask.len() / 100 {
         return wrong(
-            format!("the mask of {} is mostly gray, as a photograph is", photograph.name),
+            format!("the mask of {name} is mostly gray, as a photograph is"),
             "The object is white and all else black. A mask command writes the mask, or a cutout with alpha, to {out}.",
         );
     }
-    let (low, high) = mask.iter().fold((255, 0), |(low, high), value| (low.min(*value), high.max(*value)));
-    match (low, high) {
-        (128.., _) => wrong(
-            format!("the mask of {} is white everywhere: nothing is masked out", photograph.name),
-            "The object is white and all else black.",
-        ),
-        (_, ..128) => wrong(
-            format!("the mask of {} is black everywhere: there is no object", photograph.name),
-            "The object is white and all else black. Remove a photograph that does not show it.",
-        ),
-        _ => Ok(()),
+    if mask.iter().all(|value| *value >= 128) {
+        let problem = format!("the mask of {name} is white everywhere: nothing is masked out");
+        return wrong(problem, "The object is white and all else black.");
     }
+    if mask.iter().all(|value| *value < 128) {
+        let problem = format!("the mask of {name} is black everywhere: there is no object");
+        let help = "The object is white and all else black. Remove a photograph that does not show it.";
+        return wrong(problem, help);
+    }
+    Ok(())
 }
 
 /// A mask, or a cutout with alpha, as 8 bits.
 fn mask_of_file(file: &Path) -> Result<GrayImage> {
     if image_header(file)?.has_alpha() {
         let cutout = read_image(file, Gamma::Linear, AsStored)?;
-        let [width, height] = [cutout.image.width, cutout.image.height];
         if let Some(alpha) = cutout.alpha.filter(|alpha| alpha.iter().any(|a| *a < 0.5)) {
-            return gray(width, height, &alpha)
-                .ok_or_else(|| Error::input(file, "", "the mask is damaged", ""));
+            return Ok(gray(cutout.image.width, cutout.image.height, &alpha));
         }
     }
     let mask = read_mask(file, AsStored)?.mask;
-    gray(mask.width, mask.height, &mask.coverage)
-        .ok_or_else(|| Error::input(file, "", "the mask is damaged", ""))
+    Ok(gray(mask.width, mask.height, &mask.coverage))
 }
 
-fn gray(width: u32, height: u32, coverage: &[f32]) -> Option<GrayImage> {
-    GrayImage::from_raw(width, height, coverage.iter().map(|c| (255.0 * c).round() as u8).collect())
+fn gray(width: u32, height: u32, coverage: &[f32]) -> GrayImage {
+    let bytes = coverage.iter().map(|c| (255.0 * c).round() as u8).collect();
+    GrayImage::from_raw(width, height, bytes).expect("each pixel has its coverage")
 }
 
 /// A mask of a photograph that EXIF turns may have been made of the turned one: it is turned back.
 fn as_stored(mask: GrayImage, photograph: &PhotographFile) -> GrayImage {
     let [width, height] = photograph.size;
-    let upright = mask.dimensions() == (height, width) && width != height;
-    let back = match photograph.orientation {
+    if mask.dimensions() != (height, width) || width == height {
+        return mask;
+    }
+    let mut turned = DynamicImage::ImageLuma8(mask);
+    turned.apply_orientation(match photograph.orientation {
         Orientation::Rotate90 => Orientation::Rotate270,
         Orientation::Rotate270 => Orientation::Rotate90,
         // The others are their own inverses.
         other => other,
-    };
-    if !upright {
-        return mask;
-    }
-    let mut turned = DynamicImage::ImageLuma8(mask);
-    turned.apply_orientation(back);
+    });
     turned.into_luma8()
 }
 
-fn alpha_of(image: &Path) -> Result<GrayImage> {
-    let loaded = read_image(image, Gamma::Linear, AsStored)?;
-    let coverage = loaded.alpha.unwrap_or_default();
-    let mask = gray(loaded.image.width, loaded.image.height, &coverage);
-    mask.ok_or_else(|| Error::input(image, "", "the photograph has no alpha", "Give masks with --masks DIR."))
-}
-
-fn before_backdrop(source: &Path) -> Result<GrayImage> {
-    mask_before_backdrop(&decode_picture(source)?.into_rgb8()).map_err(|problem| {
-        let help = "Take masks of another source: --masks DIR, or --mask-command 'rembg i {in} {out}'.";
-        Error::input(source, "", problem, help)
-    })
-}
-
+/// The mask that a command makes of a photograph. Errors are about the photograph: the files that
+/// the command sees are of no use to anyone.
 fn by_command(
     command: &str,
     photograph: &PhotographFile,
@@ -195,117 +224,35 @@ fn by_command(
     to: &Path,
     log: &Path,
 ) -> Result<GrayImage> {
-    let words = shlex::split(command).unwrap_or_default();
     let output = to.with_extension("part.png");
-    let place = |word: &String| {
-        let word = word.replace("{in}", &image.to_string_lossy());
-        OsString::from(word.replace("{out}", &output.to_string_lossy()))
+    let place = |word: String| {
+        word.replace("{in}", &image.to_string_lossy()).replace("{out}", &output.to_string_lossy())
     };
-    let (program, arguments) =
-        words.split_first().ok_or_else(|| Error::usage("no mask command", COMMAND_HELP))?;
-    let program = Program { path: program.into(), install: "Install it, or give another --mask-command." };
-    let arguments: Vec<OsString> = arguments.iter().map(place).collect();
-    let run = program.run(&arguments, log, &mut |_| ());
-    run.map_err(|error| failed_command(error, &program, &arguments, photograph))?;
-    if !output.is_file() {
-        let problem = format!("the mask command wrote no mask of {}", photograph.source.display());
-        return Err(Error::usage(
-            problem,
-            format!("It ended without an error; its output is in {}.", log.display()),
-        ));
-    }
-    let mask = mask_of_file(&output).map_err(|error| about_command(error, photograph))?;
-    fs::remove_file(&output).map_err(Error::io("remove", &output))?;
+    let mut words = shlex::split(command).unwrap_or_default();
+    words[1..].iter_mut().for_each(|word| *word = place(std::mem::take(word)));
+    let program =
+        Program { path: (&words[0]).into(), install: "Install it, or give another --mask-command." };
+    let arguments: Vec<OsString> = words[1..].iter().map(OsString::from).collect();
+    let wrong = |problem: String, help: &str| Error::input(&photograph.source, "", problem, help);
+    program.run(&arguments, log, |_| ()).map_err(|error| {
+        let Error::Run { problem, .. } = error else { return error };
+        let line = shlex::try_join(words.iter().map(String::as_str)).unwrap_or_else(|_| words.join(" "));
+        wrong(
+            format!("the mask command failed. This was run:\n{line}\n{problem}"),
+            "Run that line in a shell, with a file of your own in place of the last one, until it writes a PNG; then give the same \
+             command to --mask-command. If it fails for this photograph alone, leave it out, or give masks with --masks DIR.",
+        )
+    })?;
+    let mask = mask_of_file(&output).map_err(|error| {
+        let Error::Input { problem, .. } = error else { return error };
+        let help = format!(
+            "The mask command must write a PNG to {{out}}: white where the object is, or a cutout with alpha. Its output is in {}.",
+            log.display()
+        );
+        wrong(format!("the mask command wrote no mask that can be used: {problem}"), &help)
+    })?;
+    remove(&output)?;
     Ok(mask)
-}
-
-/// The error for a command that fails: what was run, of which photograph, and what to try.
-fn failed_command(
-    error: Error,
-    program: &Program,
-    arguments: &[OsString],
-    photograph: &PhotographFile,
-) -> Error {
-    let Error::Run { problem, .. } = error else { return error };
-    let words = std::iter::once(program.path.to_string_lossy())
-        .chain(arguments.iter().map(|word| word.to_string_lossy()));
-    let words: Vec<_> = words.collect();
-    let line = shlex::try_join(words.iter().map(AsRef::as_ref)).unwrap_or_else(|_| words.join(" "));
-    let problem = format!("the mask command failed. This was run:\n{line}\n{problem}");
-    let help = "Run that line in a shell, with a file of your own in place of the last one, until it writes a PNG; then give the same \
-                command to --mask-command. If it fails for this photograph alone, leave it out, or give masks with --masks DIR.";
-    Error::input(&photograph.source, "", problem, help)
-}
-
-/// What is wrong with a mask that a command wrote, said of the photograph: the file's name is of no use to anyone.
-fn about_command(error: Error, photograph: &PhotographFile) -> Error {
-    match error {
-        Error::Input { problem, .. } => {
-            let problem = format!("the mask command wrote no mask that can be used: {problem}");
-            let help = "The mask command must write a PNG to {out}: white where the object is, or a cutout with alpha.";
-            Error::input(&photograph.source, "", problem, help)
-        }
-        other => other,
-    }
-}
-
-/// A folder of masks, looked up by the names of photographs.
-struct MaskFolder {
-    folder: PathBuf,
-    /// By names as they are, and in lower case where that is no other's name.
-    files: BTreeMap<String, PathBuf>,
-}
-
-impl MaskFolder {
-    fn open(folder: &Path) -> Result<Self> {
-        if !folder.is_dir() {
-            let what =
-                if folder.exists() { "this is a file, not a folder" } else { "there is no such folder" };
-            return Err(Error::input(folder, "", what, missing_file_help(folder)));
-        }
-        let mut paths = Vec::new();
-        for entry in read_folder(folder)? {
-            paths.push(entry.map_err(Error::io("read", folder))?.path());
-        }
-        paths.retain(|path| path.is_file());
-        paths.sort();
-        let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let mut files: BTreeMap<String, PathBuf> =
-            paths.iter().map(|path| (key(&stem(path)), path.clone())).collect();
-        for path in paths {
-            files.entry(key(&stem(&path).to_lowercase())).or_insert(path);
-        }
-        Ok(Self { folder: folder.to_owned(), files })
-    }
-
-    /// The mask of a photograph under any of its [`mask_stems`], with any extension; numbers in names match by value.
-    fn of(&self, photograph: &PhotographFile) -> Result<PathBuf> {
-        let name = photograph.source.file_name().unwrap_or_default().to_string_lossy();
-        let stem = photograph.source.file_stem().unwrap_or_default().to_string_lossy();
-        let stems = mask_stems(&name);
-        let in_lower_case = || stems.iter().find_map(|stem| self.files.get(&key(&stem.to_lowercase())));
-        let found = stems.iter().find_map(|stem| self.files.get(&key(stem))).or_else(in_lower_case);
-        found.cloned().ok_or_else(|| {
-            let path = self.folder.join(format!("{stem}.png"));
-            let problem = format!("there is no mask of the photograph {name}");
-            Error::input(&path, "", problem, missing_file_help(&path))
-        })
-    }
-}
-
-/// A name with the zeros left out that numbers begin with: `000007` and `7` are the same.
-fn key(name: &str) -> String {
-    let mut short = String::new();
-    let mut rest = name;
-    while let Some(first) = rest.chars().next() {
-        let is_digit = first.is_ascii_digit();
-        let end = rest.find(|c: char| c.is_ascii_digit() != is_digit).unwrap_or(rest.len());
-        let (run, after) = rest.split_at(end);
-        let plain = if is_digit { run.trim_start_matches('0') } else { run };
-        short += if plain.is_empty() { "0" } else { plain };
-        rest = after;
-    }
-    short
 }
 
 #[cfg(unix)]
@@ -314,8 +261,9 @@ mod tests {
     use super::*;
     use crate::pass::progress::Silent;
     use crate::prepare::photographs::{list, place};
-    use crate::prepare::test_data::{disc, script};
+    use crate::prepare::tests::{disc, script};
     use image::{Luma, Rgba, RgbaImage};
+    use std::fs;
     use tempfile::TempDir;
 
     struct Set {
@@ -331,8 +279,7 @@ mod tests {
             for name in ["000007.jpg", "000008.jpg", "000010.jpg"] {
                 disc(40, 30).save(photos.join(name)).unwrap();
             }
-            let photographs = list(&photos).unwrap().photographs;
-            place(&photographs, &folder.path().join("images")).unwrap();
+            let photographs = list(&photos, &Silent).unwrap();
             Self { folder, photographs }
         }
 
@@ -342,15 +289,28 @@ mod tests {
 
         fn masks(&self, source: &MaskSource) -> Result<Vec<GrayImage>> {
             source.check()?;
-            let (images, masks) = (self.path("images"), self.path("masks"));
-            write_masks(source, &self.photographs, &images, &masks, &self.path("log"), &Silent)?;
-            let names = self.photographs.iter().map(|p| masks.join(format!("{}.png", p.name)));
+            let options = PrepareOptions { masks: source.clone(), ..PrepareOptions::new("", "") };
+            let maker = MaskMaker::of(&options, &self.photographs, &Silent).unwrap_or(MaskMaker::Alpha);
+            let work = Work::claim(&self.path("out"), &Silent).unwrap();
+            place(&self.photographs, &work.emptied("photographs").unwrap()).unwrap();
+            maker.write(&self.photographs, &work)?;
+            let names = self.photographs.iter().map(|p| work.path("masks").join(format!("{}.png", p.name)));
             Ok(names.map(|path| image::open(path).unwrap().into_luma8()).collect())
         }
 
-        fn refused(&self, source: &MaskSource) -> String {
+        /// Checks that masks are refused with these words, and returns all of them.
+        #[track_caller]
+        fn refused(&self, source: &MaskSource, words: &[&str]) -> String {
             let error = self.masks(source).unwrap_err();
-            format!("{error} {}", error.help().unwrap_or_default())
+            let text = format!("{error} {}", error.help().unwrap_or_default());
+            words.iter().for_each(|part| assert!(text.contains(part), "`{part}` is not in: {text}"));
+            text
+        }
+
+        /// A mask command that is a shell script.
+        fn command(&self, name: &str, body: &str, more: &str) -> MaskSource {
+            let path = script(self.folder.path(), name, body);
+            MaskSource::Command(format!("'{}' {more}{{in}} {{out}}", path.display()))
         }
     }
 
@@ -359,17 +319,17 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_of_masks_is_matched_by_name_and_number() {
+    fn a_folder_of_masks_is_matched_by_name() {
         let set = Set::new();
         let folder = set.path("given");
         fs::create_dir(&folder).unwrap();
-        half(40, 30).save(folder.join("007.png")).unwrap();
+        half(40, 30).save(folder.join("000007.png")).unwrap();
         half(40, 30).save(folder.join("000008.jpg.png")).unwrap();
         let source = MaskSource::Folder(folder.clone());
-        assert!(set.refused(&source).contains("no mask of the photograph 000010.jpg"));
+        set.refused(&source, &["the mask of `000010.jpg` is missing"]);
         // A cutout: its alpha counts, whatever its colors.
         let cutout = RgbaImage::from_fn(40, 30, |x, _| Rgba([10, 20, 200, if x < 20 { 255 } else { 0 }]));
-        for name in ["10_mask.png", "010_SEG.PNG"] {
+        for name in ["000010_mask.png", "000010_SEG.PNG"] {
             cutout.save(folder.join(name)).unwrap();
             assert_eq!(set.masks(&source).unwrap(), vec![half(40, 30); 3]);
             fs::remove_file(folder.join(name)).unwrap();
@@ -382,65 +342,50 @@ mod tests {
         let folder = set.path("given");
         fs::create_dir(&folder).unwrap();
         let source = MaskSource::Folder(folder.clone());
-        let give = |mask: &GrayImage| {
-            for name in ["7.png", "8.png", "10.png"] {
-                mask.save(folder.join(name)).unwrap();
-            }
-        };
-        give(&half(20, 15));
-        assert!(set.refused(&source).contains("is 20×15 pixels, the photograph 000007.jpg 40×30"));
-        give(&GrayImage::new(40, 30));
-        assert!(set.refused(&source).contains("black everywhere"));
-        give(&GrayImage::from_pixel(40, 30, Luma([255])));
-        assert!(set.refused(&source).contains("white everywhere"));
-        give(&GrayImage::from_fn(40, 30, |x, y| Luma([(5 * x + y) as u8])));
-        assert!(set.refused(&source).contains("mostly gray, as a photograph is"));
-        fs::write(folder.join("7.png"), "no picture").unwrap();
-        assert!(set.refused(&source).contains("7.png"));
-        assert!(set.refused(&MaskSource::Folder(set.path("none"))).contains("no such folder"));
-        assert!(set.refused(&MaskSource::Alpha).contains("no alpha"));
+        for (mask, words) in [
+            (half(20, 15), "is 20×15 pixels, the photograph 000007.jpg 40×30"),
+            (GrayImage::new(40, 30), "black everywhere"),
+            (GrayImage::from_pixel(40, 30, Luma([255])), "white everywhere"),
+            (GrayImage::from_fn(40, 30, |x, y| Luma([(5 * x + y) as u8])), "mostly gray, as a photograph is"),
+        ] {
+            mask.save(folder.join("000007.png")).unwrap();
+            set.refused(&source, &[words]);
+        }
+        fs::write(folder.join("000007.png"), "no picture").unwrap();
+        set.refused(&source, &["000007.png"]);
+        set.refused(&MaskSource::Folder(set.path("none")), &["no such folder"]);
     }
 
     #[test]
     fn a_command_makes_masks() {
         let set = Set::new();
         half(40, 30).save(set.path("half.png")).unwrap();
-        let copy = script(
-            set.folder.path(),
-            "my segmenter",
-            &format!("test -f \"$1\" && cp {}/half.png \"$2\"", set.folder.path().display()),
-        );
-        let source = MaskSource::Command(format!("'{}' {{in}} {{out}}", copy.display()));
-        assert_eq!(set.masks(&source).unwrap(), vec![half(40, 30); 3]);
-        let left: Vec<_> = fs::read_dir(set.path("masks")).unwrap().collect();
-        assert_eq!(left.len(), 3);
+        let body = format!("test -f \"$1\" && cp {}/half.png \"$2\"", set.folder.path().display());
+        assert_eq!(set.masks(&set.command("my segmenter", &body, "")).unwrap(), vec![half(40, 30); 3]);
+        assert_eq!(fs::read_dir(set.path("out/.work/masks")).unwrap().count(), 3);
     }
 
     #[test]
     fn a_command_that_makes_none_is_refused() {
         let set = Set::new();
-        let idle = script(set.folder.path(), "idle", "exit 0");
-        let text = set.refused(&MaskSource::Command(format!("{} {{in}} {{out}}", idle.display())));
-        assert!(text.contains("wrote no mask of") && text.contains("000007.jpg"), "{text}");
-        let body = "echo 'no picture' > \"$2\"";
-        let other = script(set.folder.path(), "other", body);
-        let text = set.refused(&MaskSource::Command(format!("{} {{in}} {{out}}", other.display())));
-        let words = ["photos/000007.jpg: ", "neither PNG, JPEG", "must write a PNG to {out}"];
-        assert!(words.iter().all(|word| text.contains(word)), "{text}");
-        assert!(!text.contains(".part") && !text.contains("Rename"), "{text}");
-        let failing = script(set.folder.path(), "failing", "echo started; echo no such model >&2; exit 7");
+        set.refused(
+            &set.command("idle", "exit 0", ""),
+            &["000007.jpg: the mask command wrote no mask", "there is no such file"],
+        );
+        let other = set.command("other", "echo 'no picture' > \"$2\"", "");
         let text =
-            set.refused(&MaskSource::Command(format!("{} --size 'a b' {{in}} {{out}}", failing.display())));
-        for part in [
+            set.refused(&other, &["photos/000007.jpg: ", "neither PNG, JPEG", "must write a PNG to {out}"]);
+        assert!(!text.contains(".part") && !text.contains("Rename"), "{text}");
+        let failing = set.command("failing", "echo started; echo no such model >&2; exit 7", "--size 'a b' ");
+        let parts = [
             "photos/000007.jpg: the mask command failed. This was run:",
             "failing --size 'a b' ",
-            "images/000007.jpg",
+            "photographs/000007.jpg",
             "exit status: 7",
             "started\nno such model",
             "Run that line in a shell",
-        ] {
-            assert!(text.contains(part), "`{part}` is not in: {text}");
-        }
+        ];
+        set.refused(&failing, &parts);
         for (command, why) in [
             ("rembg i {in}", "has no {out}"),
             ("rembg i {out}", "has no {in}"),
@@ -448,19 +393,18 @@ mod tests {
             ("", "is no command line"),
             ("{in} {out}", "has no {in}"),
         ] {
-            let text = set.refused(&MaskSource::Command(command.to_owned()));
-            assert!(text.contains(why), "{command}: {text}");
+            set.refused(&MaskSource::Command(command.to_owned()), &[why]);
         }
     }
 
     #[test]
-    fn a_backdrop_is_masked_out() {
-        let set = Set::new();
-        let masks = set.masks(&MaskSource::Backdrop).unwrap();
-        assert_eq!((masks[0].get_pixel(20, 15).0[0], masks[0].get_pixel(2, 2).0[0]), (255, 0));
-        GrayImage::from_pixel(40, 30, Luma([90])).save(set.path("photos/000008.jpg")).unwrap();
-        let text = set.refused(&MaskSource::Backdrop);
-        assert!(text.contains("000008.jpg") && text.contains("--mask-command"), "{text}");
+    fn a_program_is_looked_for_on_the_path() {
+        let folder = tempfile::tempdir().unwrap();
+        let rembg = script(folder.path(), "rembg", "exit 0");
+        let path = std::env::join_paths([Path::new("/nowhere"), folder.path()]).unwrap();
+        assert!(is_installed(Path::new("rembg"), &path) && is_installed(&rembg, OsStr::new("")));
+        assert!(!is_installed(Path::new("rembg"), OsStr::new("/nowhere")));
+        assert!(!is_installed(&folder.path().join("none"), &path));
     }
 
     #[test]
@@ -473,13 +417,5 @@ mod tests {
         upright.apply_orientation(Orientation::Rotate90);
         assert_eq!(as_stored(upright.into_luma8(), &photograph), stored);
         assert_eq!(as_stored(stored.clone(), &photograph), stored);
-    }
-
-    #[test]
-    fn numbers_in_names_are_numbers() {
-        assert_eq!(key("img_0007"), key("img_7"));
-        assert_eq!(key("000"), "0");
-        assert_ne!(key("a10"), key("a1"));
-        assert_eq!(key("0a0"), "0a0");
     }
 }

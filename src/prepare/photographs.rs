@@ -3,25 +3,30 @@
 //! COLMAP takes pixels as they are stored and ignores EXIF's orientation. So that every other program does the same, a photograph
 //! that EXIF turns is copied with that entry reset; its pixels stay as they are.
 
-use crate::codec::file::{open, read_bytes, read_folder};
-use crate::codec::image::Orientation::AsStored;
-use crate::codec::image::decode_samples;
-use crate::codec::nearby::{missing_file_help, natural_order};
-use crate::error::stop::check_interrupted;
-use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
-use crate::prepare::left_out::{FEWEST, UNREADABLE, VIDEOS, note_of_left_out, too_few};
+use crate::prepare::work::make_folder_of;
 use image::metadata::Orientation;
-use image::{ImageDecoder, ImageFormat, ImageReader};
+use image::{ImageDecoder, ImageError, ImageFormat, ImageReader};
+use lobelia_geometry::error::stop::check_interrupted;
+use lobelia_geometry::error::{Error, Result};
+use lobelia_io::codec::file::{open, read_bytes, read_folder};
+use lobelia_io::codec::image::Orientation::AsStored;
+use lobelia_io::codec::image::{IMAGE_EXTENSIONS, decode_samples, is_unread_name};
+use lobelia_io::codec::nearby::{missing_file_help, natural_order};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
+/// Fewest photographs that cameras can be found for.
+pub(super) const FEWEST: usize = 3;
+/// Extensions of video files.
+pub(super) const VIDEOS: [&str; 10] =
+    ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts"];
 /// Most bytes of pixels that are decoded at once.
 const MOST_DECODED: u64 = 1 << 30;
-/// What to do about a photograph that is damaged.
+/// Help for a photograph that is damaged.
 const DAMAGED_HELP: &str = "Copy it again, or remove it.";
 
 /// A photograph, by its header.
@@ -43,39 +48,20 @@ pub(super) struct PhotographFile {
     focal: Option<u32>,
 }
 
-/// Photographs of a folder, with notes for the user.
-pub(super) struct Listing {
-    /// In natural order of their names.
-    pub photographs: Vec<PhotographFile>,
-    pub notes: Vec<String>,
+/// The error for a photograph that cannot be decoded.
+fn damaged(path: &Path) -> impl Fn(ImageError) -> Error + '_ {
+    move |error| Error::input(path, "", format!("the photograph cannot be read: {error}"), DAMAGED_HELP)
 }
 
-/// Lists the photographs of a folder: its JPEG and PNG files. Where their sizes or focal lengths differ, `name` has a folder for each.
+/// Lists the photographs of a folder, its JPEG and PNG files, in natural order of their names;
+/// notes say what is left out. Where their sizes or focal lengths differ, `name` has a folder for
+/// each.
 ///
 /// # Errors
 /// [`Error::Input`] if the folder is missing, has fewer than three photographs, or one of them is damaged or not what its name says;
 /// or if two have the same name but for the extension.
-pub(super) fn list(folder: &Path) -> Result<Listing> {
-    if !folder.is_dir() {
-        let what = if folder.exists() { "this is a file, not a folder" } else { "there is no such folder" };
-        let help = "Give a folder of JPEG or PNG photographs, or a video file.";
-        return Err(Error::input(folder, "", what, help));
-    }
-    let (mut files, others) = files_in(folder)?;
-    if files.len() < FEWEST {
-        return Err(too_few(folder, files.len(), &others));
-    }
-    files.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
-    let mut photographs = files.iter().map(|path| header(path)).collect::<Result<Vec<_>>>()?;
-    refuse_same_stems(&photographs)?;
-    sort_into_folders(&mut photographs);
-    let notes = others.iter().map(|(extension, count)| note_of_left_out(extension, *count)).collect();
-    Ok(Listing { photographs, notes })
-}
-
-/// The files of a folder that are called as photographs, and how many others that photographs or films could be have each extension.
-fn files_in(folder: &Path) -> Result<(Vec<PathBuf>, BTreeMap<String, usize>)> {
-    let (mut files, mut others) = (Vec::new(), BTreeMap::new());
+pub(super) fn list(folder: &Path, progress: &dyn Progress) -> Result<Vec<PhotographFile>> {
+    let (mut files, mut others) = (Vec::new(), BTreeMap::<String, usize>::new());
     for entry in read_folder(folder)? {
         let path = entry.map_err(Error::io("read", folder))?.path();
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
@@ -86,60 +72,84 @@ fn files_in(folder: &Path) -> Result<(Vec<PathBuf>, BTreeMap<String, usize>)> {
         // What is called as a photograph and is no file, or may not be read, is refused where it is opened.
         if ["jpg", "jpeg", "png"].contains(&extension.as_str()) {
             files.push(path);
-        } else if UNREADABLE.iter().chain(&VIDEOS).any(|known| extension == *known) {
+        } else if is_unread_name(&path)
+            || IMAGE_EXTENSIONS.iter().chain(&VIDEOS).any(|known| extension == *known)
+        {
             *others.entry(extension).or_default() += 1;
         }
     }
-    Ok((files, others))
-}
-
-fn refuse_same_stems(photographs: &[PhotographFile]) -> Result<()> {
+    if files.len() < FEWEST {
+        return Err(too_few(folder, files.len(), &others));
+    }
+    files.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
+    let mut photographs = files.iter().map(|path| header(path)).collect::<Result<Vec<_>>>()?;
     let mut stems = BTreeSet::new();
-    let twice = photographs.iter().find(|photograph| !stems.insert(photograph.source.with_extension("")));
-    twice.map_or(Ok(()), |photograph| {
+    if let Some(twice) = files.iter().find(|path| !stems.insert(path.with_extension(""))) {
         let problem = "another photograph has the same name with another extension";
-        Err(Error::input(&photograph.source, "", problem, "Rename one of them, or remove it."))
-    })
+        return Err(Error::input(twice, "", problem, "Rename one of them, or remove it."));
+    }
+    // COLMAP's cameras per folder are one of each group of equal size and focal length.
+    let groups: BTreeSet<_> =
+        photographs.iter().map(|photograph| (photograph.size, photograph.focal)).collect();
+    if groups.len() > 1 {
+        for PhotographFile { name, size: [width, height], focal, .. } in &mut photographs {
+            let focal = focal.map_or_else(String::new, |f| format!("_{}mm", f64::from(f) / 100.0));
+            *name = format!("{width}x{height}{focal}/{name}");
+        }
+    }
+    for (extension, count) in others {
+        let note = format!("{count} .{extension} files are left out: only JPEG and PNG photographs are used");
+        let is_heic = ["heic", "heif"].contains(&extension.as_str());
+        progress.note(&if is_heic { format!("{note}; {}", conversion(&extension)) } else { note });
+    }
+    Ok(photographs)
 }
 
-/// COLMAP's cameras per folder are one of each group of equal size and focal length.
-fn sort_into_folders(photographs: &mut [PhotographFile]) {
-    let group = |photograph: &PhotographFile| (photograph.size, photograph.focal);
-    let groups: BTreeSet<_> = photographs.iter().map(group).collect();
-    if groups.len() < 2 {
-        return;
-    }
-    for photograph in photographs {
-        let [width, height] = photograph.size;
-        let focal = photograph.focal.map_or_else(String::new, |f| format!("_{}mm", f64::from(f) / 100.0));
-        photograph.name = format!("{width}x{height}{focal}/{}", photograph.name);
-    }
+/// The error for a folder with `found` photographs, beside others of these extensions.
+fn too_few(folder: &Path, found: usize, others: &BTreeMap<String, usize>) -> Error {
+    let problem = match found {
+        0 => "there are no JPEG or PNG photographs in this folder".to_owned(),
+        n => format!("{n} JPEG or PNG photographs are in this folder, and cameras need at least {FEWEST}"),
+    };
+    let help = match others.iter().max_by_key(|(_, count)| **count) {
+        Some((extension, _)) if VIDEOS.contains(&extension.as_str()) => {
+            format!("It has a .{extension} file: give that file instead of the folder.")
+        }
+        Some((extension, count)) => format!("It has {count} .{extension} files: {}.", conversion(extension)),
+        None if found > 0 => "Take 20 or more from all sides, each overlapping the next.".to_owned(),
+        None => "Give the folder that has them directly in it: folders inside are not searched.".to_owned(),
+    };
+    Error::input(folder, "", problem, help)
 }
 
-/// How many folders the photographs' names have.
-pub(super) fn folders(photographs: &[PhotographFile]) -> usize {
-    let folder = |photograph: &PhotographFile| Path::new(&photograph.name).parent().map(Path::to_owned);
-    photographs.iter().map(folder).collect::<BTreeSet<_>>().len()
+/// How photographs with this extension are made readable.
+fn conversion(extension: &str) -> String {
+    match extension {
+        "heic" | "heif" => format!(
+            "convert all of them with `heif-convert FILE.{extension} FILE.jpg` (libheif) or `magick mogrify -format jpg *.{extension}` \
+             (ImageMagick), or set the camera to JPEG"
+        ),
+        "tif" | "tiff" => format!(
+            "convert all of them with `magick mogrify -format png *.{extension}` (ImageMagick), which keeps 16 bits"
+        ),
+        _ => "develop or convert them to JPEG or 16-bit PNG, all with the same settings".to_owned(),
+    }
 }
 
 fn header(path: &Path) -> Result<PhotographFile> {
-    let damaged = |error: image::ImageError| {
-        let problem = format!("the photograph cannot be read: {error}");
-        Error::input(path, "", problem, DAMAGED_HELP)
-    };
     let reader = ImageReader::new(open(path, missing_file_help)?);
     let reader = reader.with_guessed_format().map_err(Error::io("read", path))?;
     let format = reader.format();
     if format != ImageFormat::from_path(path).ok() {
         let what = match format {
-            Some(ImageFormat::Jpeg) => "it holds a JPEG".to_owned(),
-            Some(ImageFormat::Png) => "it holds a PNG".to_owned(),
-            _ => "it holds neither JPEG nor PNG".to_owned(),
+            Some(ImageFormat::Jpeg) => "a JPEG",
+            Some(ImageFormat::Png) => "a PNG",
+            _ => "neither JPEG nor PNG",
         };
-        let problem = format!("the file is not what its name says: {what}");
+        let problem = format!("the file is not what its name says: it holds {what}");
         return Err(Error::input(path, "", problem, "Rename or convert it."));
     }
-    let mut decoder = reader.into_decoder().map_err(damaged)?;
+    let mut decoder = reader.into_decoder().map_err(damaged(path))?;
     let (width, height) = decoder.dimensions();
     let chunk = decoder.exif_metadata().ok().flatten().unwrap_or_default();
     let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
@@ -178,24 +188,20 @@ pub(super) fn check_pixels(photographs: &[PhotographFile], progress: &dyn Progre
         |p: &PhotographFile| u64::from(p.size[0]) * u64::from(p.size[1]) * if p.is_deep { 8 } else { 4 };
     let largest = photographs.iter().map(bytes).max().unwrap_or_default().max(1);
     let at_once = (MOST_DECODED / largest).clamp(1, rayon::current_num_threads() as u64) as usize;
+    let decoded = |photograph: &PhotographFile| match decode_samples(&photograph.source, AsStored) {
+        Err(Error::Input { path, place, problem, .. }) => {
+            Err(Error::input(path, place, problem, DAMAGED_HELP))
+        }
+        decoded => decoded.map(|_| ()),
+    };
     for group in photographs.chunks(at_once) {
         check_interrupted()?;
-        let decoded: Vec<Result<()>> = group.par_iter().map(check_decodes).collect();
+        let decoded: Vec<Result<()>> = group.par_iter().map(decoded).collect();
         decoded.into_iter().collect::<Result<()>>()?;
         bar.inc(group.len() as u64);
     }
     bar.finish_and_clear();
     Ok(())
-}
-
-fn check_decodes(photograph: &PhotographFile) -> Result<()> {
-    match decode_samples(&photograph.source, AsStored) {
-        Ok(_) => Ok(()),
-        Err(Error::Input { path, place, problem, .. }) => {
-            Err(Error::input(path, place, problem, DAMAGED_HELP))
-        }
-        Err(error) => Err(error),
-    }
 }
 
 /// Puts the photographs under their names into `folder`, as links where that is possible.
@@ -205,8 +211,7 @@ fn check_decodes(photograph: &PhotographFile) -> Result<()> {
 pub(super) fn place(photographs: &[PhotographFile], folder: &Path) -> Result<()> {
     for photograph in photographs {
         let to = folder.join(&photograph.name);
-        let parent = to.parent().unwrap_or(folder);
-        fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
+        make_folder_of(&to)?;
         if photograph.orientation == Orientation::NoTransforms {
             link(&photograph.source, &to)?;
         } else {
@@ -229,39 +234,32 @@ fn link(from: &Path, to: &Path) -> Result<()> {
 
 /// A photograph's bytes with EXIF's orientation reset: of a JPEG two bytes change, a PNG is written again without EXIF.
 fn unturned(path: &Path) -> Result<Vec<u8>> {
-    let damaged = |error: image::ImageError| {
-        Error::input(path, "", format!("the photograph cannot be read: {error}"), DAMAGED_HELP)
-    };
     let mut bytes = read_bytes(path, missing_file_help)?;
-    if bytes.starts_with(&[0xff, 0xd8]) {
-        reset_orientation(&mut bytes).map_err(damaged)?;
-        return Ok(bytes);
+    if !bytes.starts_with(&[0xff, 0xd8]) {
+        let mut written = Cursor::new(Vec::new());
+        let pixels = image::load_from_memory(&bytes).map_err(damaged(path))?;
+        pixels.write_to(&mut written, ImageFormat::Png).map_err(damaged(path))?;
+        return Ok(written.into_inner());
     }
-    let mut written = Cursor::new(Vec::new());
-    let pixels = image::load_from_memory(&bytes).map_err(damaged)?;
-    pixels.write_to(&mut written, ImageFormat::Png).map_err(damaged)?;
-    Ok(written.into_inner())
-}
-
-fn reset_orientation(jpeg: &mut [u8]) -> image::ImageResult<()> {
-    let chunk =
-        ImageReader::with_format(Cursor::new(&*jpeg), ImageFormat::Jpeg).into_decoder()?.exif_metadata()?;
-    let Some(chunk) = chunk.filter(|chunk| !chunk.is_empty()) else { return Ok(()) };
+    let decoder = ImageReader::with_format(Cursor::new(&bytes), ImageFormat::Jpeg).into_decoder();
+    let chunk = decoder.and_then(|mut decoder| decoder.exif_metadata()).map_err(damaged(path))?;
+    let Some(chunk) = chunk.filter(|chunk| !chunk.is_empty()) else { return Ok(bytes) };
     let mut reset = chunk.clone();
     let turned = Orientation::remove_from_exif_chunk(&mut reset).is_some();
-    let at = jpeg.windows(chunk.len()).position(|window| window == chunk);
+    let at = bytes.windows(chunk.len()).position(|window| window == chunk);
     if let Some(at) = at.filter(|_| turned) {
-        jpeg[at..at + reset.len()].copy_from_slice(&reset);
+        bytes[at..at + reset.len()].copy_from_slice(&reset);
     }
-    Ok(())
+    Ok(bytes)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pass::progress::Silent;
+    use crate::pass::progress::{RecordedMessages, Silent};
     use image::codecs::jpeg::JpegEncoder;
     use image::{ImageEncoder, RgbImage, Rgba, RgbaImage};
+    use tempfile::TempDir;
 
     /// A little-endian EXIF block with an orientation and a focal length in millimeters.
     fn exif_block(orientation: u16, focal: u32) -> Vec<u8> {
@@ -285,70 +283,63 @@ mod tests {
         let picture = RgbImage::from_fn(size[0], size[1], |x, y| image::Rgb([x as u8 * 9, y as u8 * 9, 40]));
         let mut bytes = Vec::new();
         let mut encoder = JpegEncoder::new_with_quality(&mut bytes, 95);
-        if let Some(block) = block {
-            encoder.set_exif_metadata(block).unwrap();
-        }
+        block.into_iter().for_each(|block| encoder.set_exif_metadata(block).unwrap());
         encoder.write_image(&picture, size[0], size[1], image::ExtendedColorType::Rgb8).unwrap();
         fs::write(path, bytes).unwrap();
     }
 
-    fn names(listing: &Listing) -> Vec<&str> {
-        listing.photographs.iter().map(|photograph| photograph.name.as_str()).collect()
+    /// A folder of JPEG files of 8 × 6 pixels, of an orientation and focal length.
+    fn folder_of(files: &[(&str, u16, u32)]) -> TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, orientation, focal) in files {
+            jpeg(&folder.path().join(name), [8, 6], Some(exif_block(*orientation, *focal)));
+        }
+        folder
+    }
+
+    fn listed(folder: &Path) -> Vec<PhotographFile> {
+        list(folder, &Silent).unwrap()
+    }
+
+    fn names(photographs: &[PhotographFile]) -> Vec<&str> {
+        photographs.iter().map(|photograph| photograph.name.as_str()).collect()
     }
 
     #[test]
     fn photographs_are_listed_in_order_with_what_is_left_out() {
-        let folder = tempfile::tempdir().unwrap();
-        for name in ["a10.jpg", "a9.jpg", "a1.JPG"] {
-            jpeg(&folder.path().join(name), [8, 6], None);
-        }
+        let folder = folder_of(&[("a10.jpg", 1, 35), ("a9.jpg", 1, 35), ("a1.JPG", 1, 35)]);
         for other in ["a1.nef", "a2.NEF", "notes.txt"] {
             fs::write(folder.path().join(other), "x").unwrap();
         }
-        let listing = list(folder.path()).unwrap();
-        assert_eq!(names(&listing), ["a1.JPG", "a9.jpg", "a10.jpg"]);
-        assert_eq!(listing.notes, ["2 .nef files are left out: only JPEG and PNG photographs are used"]);
+        let told = RecordedMessages::new(&Silent);
+        let photographs = list(folder.path(), &told).unwrap();
+        assert_eq!(names(&photographs), ["a1.JPG", "a9.jpg", "a10.jpg"]);
+        assert_eq!(photographs[0].size, [8, 6]);
+        assert_eq!(told.take(), ["2 .nef files are left out: only JPEG and PNG photographs are used"]);
         fs::rename(folder.path().join("a1.nef"), folder.path().join("a1.HEIC")).unwrap();
-        let notes = list(folder.path()).unwrap().notes;
-        assert!(
-            notes[0].starts_with("1 .heic files are left out") && notes[0].contains("heif-convert"),
-            "{notes:?}"
-        );
-        assert_eq!(folders(&listing.photographs), 1);
-        assert_eq!(listing.photographs[0].size, [8, 6]);
+        list(folder.path(), &told).unwrap();
+        assert!(told.take()[0].contains("heif-convert"));
     }
 
     #[test]
     fn sizes_and_focal_lengths_have_folders() {
-        let folder = tempfile::tempdir().unwrap();
-        jpeg(&folder.path().join("a.jpg"), [8, 6], Some(exif_block(1, 35)));
-        jpeg(&folder.path().join("b.jpg"), [8, 6], Some(exif_block(1, 50)));
+        let folder = folder_of(&[("a.jpg", 1, 35), ("b.jpg", 1, 50), ("d.jpg", 1, 35)]);
         jpeg(&folder.path().join("c.jpg"), [6, 8], None);
-        jpeg(&folder.path().join("d.jpg"), [8, 6], Some(exif_block(1, 35)));
-        let listing = list(folder.path()).unwrap();
-        assert_eq!(names(&listing), ["8x6_35mm/a.jpg", "8x6_50mm/b.jpg", "6x8/c.jpg", "8x6_35mm/d.jpg"]);
-        assert_eq!(folders(&listing.photographs), 3);
+        let photographs = listed(folder.path());
+        assert_eq!(names(&photographs), ["8x6_35mm/a.jpg", "8x6_50mm/b.jpg", "6x8/c.jpg", "8x6_35mm/d.jpg"]);
     }
 
     #[test]
     fn a_turned_photograph_keeps_its_pixels_and_loses_its_turn() {
-        let folder = tempfile::tempdir().unwrap();
-        for name in ["a.jpg", "b.jpg", "c.jpg"] {
-            jpeg(
-                &folder.path().join(name),
-                [8, 6],
-                Some(exif_block(if name == "b.jpg" { 6 } else { 1 }, 35)),
-            );
-        }
-        let listing = list(folder.path()).unwrap();
-        assert_eq!(listing.photographs[1].orientation, Orientation::Rotate90);
-        assert_eq!(listing.photographs[1].size, [8, 6]);
-        assert_eq!(folders(&listing.photographs), 1, "they are of one camera");
+        let folder = folder_of(&[("a.jpg", 1, 35), ("b.jpg", 6, 35), ("c.jpg", 1, 35)]);
+        let photographs = listed(folder.path());
+        assert_eq!((photographs[1].orientation, photographs[1].size), (Orientation::Rotate90, [8, 6]));
+        assert_eq!(names(&photographs), ["a.jpg", "b.jpg", "c.jpg"], "they are of one camera");
         let out = folder.path().join("out");
-        place(&listing.photographs, &out).unwrap();
-        let placed = list(&out).unwrap();
-        assert!(placed.photographs.iter().all(|p| p.orientation == Orientation::NoTransforms));
-        assert_eq!(placed.photographs[1].focal, Some(3500), "the rest of EXIF stays");
+        place(&photographs, &out).unwrap();
+        let placed = listed(&out);
+        assert!(placed.iter().all(|p| p.orientation == Orientation::NoTransforms));
+        assert_eq!(placed[1].focal, Some(3500), "the rest of EXIF stays");
         let pixels = |path: &Path| image::open(path).unwrap().into_rgb8();
         assert_eq!(pixels(&out.join("b.jpg")), pixels(&folder.path().join("b.jpg")));
         assert_eq!(fs::read(out.join("a.jpg")).unwrap(), fs::read(folder.path().join("a.jpg")).unwrap());
@@ -362,105 +353,61 @@ mod tests {
         }
         let deep = image::ImageBuffer::from_pixel(4, 4, image::Rgb([1u16, 2, 3]));
         image::DynamicImage::ImageRgb16(deep).save(folder.path().join("c.png")).unwrap();
-        let listing = list(folder.path()).unwrap();
-        let found: Vec<_> = listing.photographs.iter().map(|p| (p.has_alpha, p.is_deep)).collect();
+        let found: Vec<_> = listed(folder.path()).iter().map(|p| (p.has_alpha, p.is_deep)).collect();
         assert_eq!(found, [(true, false), (true, false), (false, true)]);
-    }
-
-    /// Three photographs of some size, so that a part of one has its header.
-    fn three() -> tempfile::TempDir {
-        let folder = tempfile::tempdir().unwrap();
-        ["a.jpg", "b.jpg", "c.jpg"].iter().for_each(|name| jpeg(&folder.path().join(name), [64, 48], None));
-        folder
-    }
-
-    #[test]
-    fn photographs_that_are_cut_off_are_named() {
-        let folder = three();
-        RgbImage::from_fn(64, 48, |x, y| image::Rgb([x as u8 * y as u8, 9, 40]))
-            .save(folder.path().join("d.png"))
-            .unwrap();
-        let checked = || check_pixels(&list(folder.path()).unwrap().photographs, &Silent);
-        checked().unwrap();
-        for name in ["b.jpg", "d.png"] {
-            let path = folder.path().join(name);
-            let whole = fs::read(&path).unwrap();
-            fs::write(&path, &whole[..whole.len() - whole.len() / 8]).unwrap();
-            let error = checked().unwrap_err();
-            assert!(error.to_string().contains(&format!("{name}: ")) && error.exit_code() == 2, "{error}");
-            assert!(error.to_string().contains("damaged or truncated"), "{error}");
-            assert_eq!(error.help(), Some(DAMAGED_HELP));
-            fs::write(&path, whole).unwrap();
-        }
     }
 
     #[cfg(unix)]
     #[test]
     fn what_is_no_file_is_refused_and_not_opened() {
-        let folder = three();
+        let folder = folder_of(&[("a.jpg", 1, 35), ("b.jpg", 1, 35), ("c.jpg", 1, 35)]);
         fs::create_dir(folder.path().join("folder.jpg")).unwrap();
         fs::write(folder.path().join("._a.jpg"), "a file manager's").unwrap();
-        assert_eq!(list(folder.path()).unwrap().photographs.len(), 3);
+        assert_eq!(listed(folder.path()).len(), 3);
         let pipe = folder.path().join("x.jpg");
         assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
-        let error = list(folder.path()).err().unwrap();
+        let error = list(folder.path(), &Silent).unwrap_err();
         assert!(error.to_string().contains("x.jpg: this is a pipe, not a regular file"), "{error}");
         fs::remove_file(&pipe).unwrap();
         std::os::unix::fs::symlink("nowhere", &pipe).unwrap();
-        let error = list(folder.path()).err().unwrap();
+        let error = list(folder.path(), &Silent).unwrap_err();
         assert!(error.to_string().contains("symbolic link to nowhere") && error.exit_code() == 2, "{error}");
-    }
-
-    #[cfg(unix)]
-    #[test]
-    fn a_photograph_that_may_not_be_read_says_how_to_allow_it() {
-        use std::os::unix::fs::PermissionsExt as _;
-        let folder = three();
-        let path = folder.path().join("b.jpg");
-        fs::set_permissions(&path, fs::Permissions::from_mode(0o000)).unwrap();
-        // Whoever runs the tests may read everything, perhaps.
-        if fs::File::open(&path).is_err() {
-            let error = list(folder.path()).err().unwrap();
-            assert_eq!(error.exit_code(), 2);
-            let text = format!("{error} {}", error.help().unwrap_or_default());
-            assert!(text.contains("b.jpg: permission denied") && text.contains("chmod u+r"), "{text}");
-        }
     }
 
     #[test]
     fn unusable_folders_are_refused_with_the_reason() {
         let folder = tempfile::tempdir().unwrap();
-        let refused = |path: &Path| {
-            let error = list(path).err().unwrap();
-            assert_eq!(error.exit_code(), 2);
-            format!("{error} {}", error.help().unwrap_or_default())
+        let at = |name: &str| folder.path().join(name);
+        let refused = |path: &Path, words: &str| {
+            let error = list(path, &Silent).unwrap_err();
+            let text = format!("{error} {}", error.help().unwrap_or_default());
+            assert!(text.contains(words) && error.exit_code() == 2, "{words}: {text}");
         };
-        assert!(refused(&folder.path().join("none")).contains("no such folder"));
-        assert!(refused(folder.path()).contains("no JPEG or PNG photographs"));
-        fs::write(folder.path().join("a.heic"), "x").unwrap();
-        let text = refused(folder.path());
-        assert!(
-            text.contains("1 .heic files: convert all of them with `heif-convert FILE.heic FILE.jpg`"),
-            "{text}"
-        );
-        assert!(text.contains("`magick mogrify -format jpg *.heic`"), "{text}");
-        fs::rename(folder.path().join("a.heic"), folder.path().join("a.cr2")).unwrap();
-        assert!(refused(folder.path()).contains("1 .cr2 files: develop or convert"));
-        fs::rename(folder.path().join("a.cr2"), folder.path().join("a.mp4")).unwrap();
-        assert!(refused(folder.path()).contains("give that file instead of the folder"));
-        jpeg(&folder.path().join("a.jpg"), [8, 6], None);
-        jpeg(&folder.path().join("b.jpg"), [8, 6], None);
-        assert!(refused(folder.path()).contains("2 JPEG or PNG photographs"));
-        assert!(refused(&folder.path().join("a.jpg")).contains("a file, not a folder"));
-        fs::copy(folder.path().join("a.jpg"), folder.path().join("c.png")).unwrap();
-        assert!(refused(folder.path()).contains("it holds a JPEG"));
-        fs::write(folder.path().join("c.png"), "no picture").unwrap();
-        assert!(refused(folder.path()).contains("neither JPEG nor PNG"));
-        fs::remove_file(folder.path().join("c.png")).unwrap();
-        fs::write(folder.path().join("c.jpg"), [0xff, 0xd8, 0xff, 0xe0, 0, 4]).unwrap();
-        assert!(refused(folder.path()).contains("cannot be read"));
-        jpeg(&folder.path().join("c.jpg"), [8, 6], None);
-        RgbImage::new(8, 6).save(folder.path().join("b.png")).unwrap();
-        assert!(refused(folder.path()).contains("same name with another extension"));
+        refused(&at("none"), "no such folder");
+        refused(folder.path(), "no JPEG or PNG photographs");
+        for (name, words) in [
+            ("a.heic", "1 .heic files: convert all of them with `heif-convert FILE.heic FILE.jpg`"),
+            ("a.cr2", "1 .cr2 files: develop or convert"),
+            ("a.mp4", "give that file instead of the folder"),
+        ] {
+            fs::write(at(name), "x").unwrap();
+            refused(folder.path(), words);
+            fs::remove_file(at(name)).unwrap();
+        }
+        jpeg(&at("a.jpg"), [8, 6], None);
+        jpeg(&at("b.jpg"), [8, 6], None);
+        refused(folder.path(), "2 JPEG or PNG photographs");
+        refused(&at("a.jpg"), "a file, not a folder");
+        for (name, bytes, words) in [
+            ("c.png", fs::read(at("a.jpg")).unwrap(), "it holds a JPEG"),
+            ("c.png", b"no picture".to_vec(), "neither JPEG nor PNG"),
+            ("c.jpg", vec![0xff, 0xd8, 0xff, 0xe0, 0, 4], "cannot be read"),
+        ] {
+            fs::write(at(name), bytes).unwrap();
+            refused(folder.path(), words);
+            fs::remove_file(at(name)).unwrap();
+        }
+        RgbImage::new(8, 6).save(at("b.png")).unwrap();
+        refused(folder.path(), "same name with another extension");
     }
 }

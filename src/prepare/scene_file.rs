@@ -1,69 +1,141 @@
 //! A commented scene file for a data set: what is known of it, what a fit has to find, and what may be worth changing.
 
-use crate::dataset::{
-    DatasetOptions, Layout, OpenDataset, PlannedView, find_layout, has_split, masks_hint, open_dataset,
-};
-use crate::error::{Error, Result};
-use crate::view::Split;
 use glam::Vec3;
+use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::view::Split;
+use lobelia_io::dataset::{
+    DatasetOptions, Layout, OpenDataset, PlannedView, find_layout, has_split, open_dataset,
+};
 use std::path::{Path, PathBuf};
 
 /// Longer side of the photographs that a fit needs at most; larger ones are downscaled in a new scene file.
 const ENOUGH_PIXELS: u32 = 1600;
 /// Fewest views of which some are held out.
 const FEWEST_HELD_OUT: usize = 12;
-/// Extensions of meshes.
-const MESHES: [&str; 2] = ["glb", "gltf"];
 
-/// What a data set has.
-#[derive(Clone, Debug, PartialEq)]
-pub struct DatasetSummary {
-    /// The layout.
-    pub layout: Layout,
-    /// Whether it was asked for, because the folder has several.
-    pub is_asked: bool,
-    /// The mesh in the folder, if there is exactly one or one called `mesh`.
-    pub mesh: Option<PathBuf>,
-    /// Training views when every view is one that the data set does not hold out itself.
-    pub views: usize,
-    /// Width and height of the first photograph in pixels.
-    pub size: [u32; 2],
-    /// Whether the first view has a mask.
-    pub has_masks: bool,
-    /// Where there are no masks: a folder that may have them under an unusual name.
-    pub masks_beside: Option<PathBuf>,
-    /// Whether the data set has a test split of its own.
-    pub has_test: bool,
-    /// Up in the photographs on average, world space, where a layout's world has no up of its own.
-    pub up: Option<Vec3>,
-}
-
-/// Looks at a data set: its camera files, and the first photograph with its mask.
+/// The scene file `scene` for the data set in `data`, as text; it loads, and `lobelia check`
+/// passes. It follows from the camera files and from the first photograph with its mask. A path in
+/// it starts at `scene` if that is inside `data`, else at `$DATA`.
 ///
 /// # Errors
-/// [`Error::Input`] if the folder is no data set, or its first view cannot be read.
-pub fn summarize(data: &Path, asked: Layout) -> Result<DatasetSummary> {
+/// [`Error::Input`] if the folder is no data set, its first view cannot be read, or it has neither
+/// masks nor a mesh: its shape can then not be found.
+pub fn scene_for(data: &Path, layout: Layout, scene: &Path) -> Result<String> {
+    let asked = layout;
     let layout = find_layout(data, asked, |layout| format!("`--layout {layout:?}`"))?;
     let options = DatasetOptions { layout, hold_out: 0, ..DatasetOptions::default() };
-    let OpenDataset { views, masks_beside, .. } = open_dataset(data, Split::Train, &options)?;
+    let OpenDataset { views, .. } = open_dataset(data, Split::Train, &options)?;
     let first =
         views.first().ok_or_else(|| Error::input(data, "", "the data set has no views", ""))?.load()?;
-    let (Some(photograph), mask) = (&first.record.photograph, &first.record.mask) else {
+    let Some(photograph) = &first.record.photograph else {
         let problem = "the data set has cameras without photographs: there is nothing to fit to";
         return Err(Error::input(data, "", problem, "Put the photographs where the cameras name them."));
     };
-    Ok(DatasetSummary {
-        layout,
-        is_asked: asked != Layout::Auto,
-        mesh: mesh_in(data)?,
-        views: views.len(),
-        size: photograph.size(),
-        has_masks: mask.is_some(),
-        masks_beside,
-        has_test: has_split(data, Split::Test, &options)?,
-        up: if layout == Layout::Colmap { mean_up(&views) } else { None },
-    })
+    let (mesh, has_masks) = (mesh_in(data)?, first.record.mask.is_some());
+    if mesh.is_none() && !has_masks {
+        let problem =
+            "the data set has neither masks nor a mesh: without one of them, there is no shape to fit";
+        let help = "Add a folder of masks or alpha to the photographs (`lobelia prepare` makes masks), or put mesh.glb into the folder.";
+        return Err(Error::input(data, "", problem, help));
+    }
+    let (count, [width, height]) = (views.len(), photograph.size());
+    let has_test = has_split(data, Split::Test, &options)?;
+    // A line break in the name would end the comment.
+    let folder = data.display().to_string().replace(['\n', '\r'], " ");
+    let beside = scene.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let is_beside = matches!((beside.canonicalize(), data.canonicalize()), (Ok(a), Ok(b)) if a == b);
+    let (path, below, command) = if is_beside {
+        (".", "", format!("lobelia run {folder}/scene.ron --out OUT"))
+    } else {
+        ("$DATA", "$DATA/", format!("lobelia run SCENE.ron --data {folder} --out OUT"))
+    };
+
+    let masks = if has_masks { "with masks" } else { "without masks" };
+    let name = if layout == Layout::Colmap { "COLMAP".to_owned() } else { format!("{layout:?}") };
+    let mut text = format!(
+        "// {count} photographs of {width}×{height} pixels {masks}, in the layout of {name}.\n// {command}\n\
+         // A quick try: --set views.downscale=4 --set passes.fit.steps=200\nScene(\n    version: 1,\n"
+    );
+    // Of other layouts, the world has an up of its own.
+    if let Some(up) = mean_up(&views).filter(|_| layout == Layout::Colmap) {
+        // Adding 0 makes −0 positive.
+        let up = up + Vec3::ZERO;
+        text += &format!(
+            "    // Up in the photographs on average: orbits turn around it.\n    up: ({:.3}, {:.3}, {:.3}),\n",
+            up.x, up.y, up.z
+        );
+    }
+    text += &match mesh.as_ref().and_then(|mesh| mesh.file_name()) {
+        Some(name) => format!(
+            "    // The shape is known. `Unknown()` finds it from photographs and masks instead; it needs a `Shape()` pass first.\n    \
+             surface: Mesh(path: \"{}\"),\n",
+            // As it stands inside the quotes of a RON string.
+            format!("{below}{}", name.to_string_lossy()).replace('\\', "\\\\").replace('"', "\\\"")
+        ),
+        None => "    // The shape is found from photographs and masks. With a mesh: Mesh(path: \"mesh.glb\"), and no `Shape` pass.\n    \
+                 surface: Unknown(),\n"
+            .to_owned(),
+    };
+    text += &format!("    views: Dataset(\n        path: \"{path}\",\n");
+    if asked != Layout::Auto {
+        text += &format!("        layout: {layout:?},\n");
+    }
+    text += match (has_test, count >= FEWEST_HELD_OUT) {
+        (true, _) => "",
+        (false, true) => {
+            "        // Every 8th view is kept out of the fit to measure the quality; 0: none.\n        hold_out: 8,\n"
+        }
+        (false, false) => {
+            "        // So few views are all needed; 8 would keep every 8th out of the fit.\n        hold_out: 0,\n"
+        }
+    };
+    text += &match width.max(height).div_ceil(ENOUGH_PIXELS) {
+        0 | 1 => {
+            "        // downscale: 2,        // half the size: a quarter of memory and time\n".to_owned()
+        }
+        downscale => format!(
+            "        // Full size needs more memory and time, and rarely gives more.\n        downscale: {downscale},\n"
+        ),
+    };
+    text += BEFORE_PASSES;
+    // Cameras that a data set splits itself come from a renderer or a rig; the others from photographs.
+    let unknowns = if has_test {
+        ""
+    } else {
+        text += "        // Photographs of a camera: each has an exposure of its own, and poses are a little off. With a locked exposure\n        \
+                 // or exact poses, leave these out. A light that turns with the camera, as on a
+                 // turntable, is found.\n";
+        "exposure: Brightness, cameras: Poses"
+    };
+    if mesh.is_some() {
+        text += &format!("        Fit({unknowns}),\n");
+    } else {
+        let comma = if has_test { "" } else { ", " };
+        text += &format!(
+            "        Shape({unknowns}),\n        Fit({unknowns}{comma}vertices: true, detail: true,\n            \
+             steps: 1200, rates: (albedo: 0.02, light: 0.02, specular: 0.01)),\n"
+        );
+    }
+    text += if has_test || count >= FEWEST_HELD_OUT {
+        "        // The held-out views, rendered and compared with their photographs.\n        Render(name: \"novel\"),\n        \
+         Evaluate(name: \"scores\", scores: [(pass: \"novel\", truth: Photographs)]),\n"
+    } else {
+        "        // No view is held out; the training views are rendered and compared with their photographs.\n        \
+         Render(name: \"again\", render: (views: Train)),\n        \
+         Evaluate(name: \"scores\", scores: [(pass: \"again\", truth: Photographs)]),\n"
+    };
+    Ok(text + LAST_PASSES)
 }
+
+/// Light and material are unknown by default.
+const BEFORE_PASSES: &str = "        // gamma: Linear,       // 8- and 16-bit values are taken as sRGB; this says otherwise\n    ),\n    \
+    // Light and material are unknown. What is known can be said, for example:\n    \
+    // light: Fixed(Map(path: \"sky.exr\")),\n    \
+    // material: (specular: (albedo: Fixed(0.04, 0.04, 0.04))),    // a plain dielectric\n    \
+    // material: (gloss: Blend(materials: 2)),                     // glossy and matte regions\n    passes: [\n";
+
+const LAST_PASSES: &str = "        // The object as a scene of its own, with everything known, and as meshes for other programs.\n        \
+    Save(name: \"saved\"),\n        Export(name: \"export\"),\n    ],\n)\n";
 
 /// The mean of what is up in the pictures, world space; `None` if they have none in common.
 fn mean_up(views: &[PlannedView]) -> Option<Vec3> {
@@ -72,170 +144,24 @@ fn mean_up(views: &[PlannedView]) -> Option<Vec3> {
     (mean.length() > 0.5).then(|| mean.normalize())
 }
 
-/// The scene file `scene` for the data set in `data`, as text. A path in it starts at `scene` if that is inside `data`, else at `$DATA`.
-///
-/// # Errors
-/// Those of [`summarize`]; [`Error::Input`] if a data set has neither masks nor a mesh: its shape can then not be found.
-pub fn scene_for(data: &Path, layout: Layout, scene: &Path) -> Result<String> {
-    let summary = summarize(data, layout)?;
-    if summary.mesh.is_none() && !summary.has_masks {
-        let problem =
-            "the data set has neither masks nor a mesh: without one of them, there is no shape to fit";
-        let beside = summary.masks_beside.as_deref().map(|folder| format!("{}. Or: ", masks_hint(folder)));
-        let help = format!(
-            "{}Add a folder of masks or alpha to the photographs (`lobelia prepare` makes masks), or put mesh.glb into the folder.",
-            beside.unwrap_or_default()
-        );
-        return Err(Error::input(data, "", problem, help));
-    }
-    Ok(scene_text(&summary, data, is_beside(data, scene)))
-}
-
-/// Whether the scene file lies directly in the data's folder.
-fn is_beside(data: &Path, scene: &Path) -> bool {
-    let folder = scene.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    matches!((folder.canonicalize(), data.canonicalize()), (Ok(a), Ok(b)) if a == b)
-}
-
 /// The mesh of a data set: `mesh.glb` or `mesh.gltf`, or the only one in the folder.
 fn mesh_in(data: &Path) -> Result<Option<PathBuf>> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(data).map_err(Error::io("read", data))? {
         let path = entry.map_err(Error::io("read", data))?.path();
-        let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-        if path.is_file() && MESHES.contains(&extension.as_str()) {
+        let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
+        if path.is_file() && (extension == "glb" || extension == "gltf") {
             found.push(path);
         }
     }
     found.sort();
-    let named = found.iter().find(|path| path.file_stem().is_some_and(|stem| stem == "mesh"));
-    Ok(match (named, found.as_slice()) {
-        (Some(mesh), _) => Some(mesh.clone()),
-        (None, [only]) => Some(only.clone()),
-        _ => None,
+    let named = found.iter().position(|path| path.file_stem().is_some_and(|stem| stem == "mesh"));
+    Ok(match named {
+        Some(named) => Some(found.swap_remove(named)),
+        None if found.len() == 1 => found.pop(),
+        None => None,
     })
 }
-
-/// What a new scene file says; it loads, and `lobelia check` passes.
-fn scene_text(summary: &DatasetSummary, data: &Path, is_beside: bool) -> String {
-    let downscale = summary.size[0].max(summary.size[1]).div_ceil(ENOUGH_PIXELS).max(1);
-    // Cameras that a data set splits itself come from a renderer or a rig; the others from photographs.
-    let is_captured = !summary.has_test;
-    let tests = summary.has_test || summary.views >= FEWEST_HELD_OUT;
-    let mut text = header(summary, data, is_beside);
-    text += "Scene(\n    version: 1,\n";
-    if let Some(up) = summary.up {
-        text += "    // Up in the photographs on average: orbits turn around it.\n";
-        // Adding 0 makes −0 positive.
-        let up = up + Vec3::ZERO;
-        text += &format!("    up: ({:.3}, {:.3}, {:.3}),\n", up.x, up.y, up.z);
-    }
-    text += &surface(summary, is_beside);
-    text += &views(summary, is_beside, downscale);
-    text += MATERIAL;
-    text += "    passes: [\n";
-    text += &fits(summary, is_captured);
-    text += if tests {
-        "        // The held-out views, rendered and compared with their photographs.\n        Render(name: \"novel\"),\n        \
-         Evaluate(name: \"scores\", scores: [(pass: \"novel\", truth: Photographs)]),\n"
-    } else {
-        "        // No view is held out; the training views are rendered and compared with their photographs.\n        \
-         Render(name: \"again\", render: (views: Train)),\n        \
-         Evaluate(name: \"scores\", scores: [(pass: \"again\", truth: Photographs)]),\n"
-    };
-    text += LAST_PASSES;
-    text
-}
-
-fn header(summary: &DatasetSummary, data: &Path, is_beside: bool) -> String {
-    let [width, height] = summary.size;
-    let masks = if summary.has_masks { "with masks" } else { "without masks" };
-    // A line break in the name would end the comment.
-    let folder = data.display().to_string().replace(['\n', '\r'], " ");
-    let command = if is_beside {
-        format!("lobelia run {folder}/scene.ron --out OUT")
-    } else {
-        format!("lobelia run SCENE.ron --data {folder} --out OUT")
-    };
-    let layout = match summary.layout {
-        Layout::Colmap => "COLMAP".to_owned(),
-        other => format!("{other:?}"),
-    };
-    format!(
-        "// {} photographs of {width}×{height} pixels {masks}, in the layout of {layout}.\n// {command}\n\
-         // A quick try: --set views.downscale=4 --set passes.fit.steps=200\n",
-        summary.views
-    )
-}
-
-fn surface(summary: &DatasetSummary, is_beside: bool) -> String {
-    let folder = if is_beside { "" } else { "$DATA/" };
-    let name = summary.mesh.as_ref().and_then(|mesh| mesh.file_name());
-    match name.map(|name| name.to_string_lossy()) {
-        Some(name) => format!(
-            "    // The shape is known. `Unknown()` finds it from photographs and masks instead; it needs a `Shape()` pass first.\n    \
-             surface: Mesh(path: \"{}\"),\n",
-            quoted(&format!("{folder}{name}"))
-        ),
-        None => "    // The shape is found from photographs and masks. With a mesh: Mesh(path: \"mesh.glb\"), and no `Shape` pass.\n    \
-                 surface: Unknown(),\n"
-            .to_owned(),
-    }
-}
-
-/// Text inside the quotes of a RON string.
-fn quoted(text: &str) -> String {
-    text.replace('\\', "\\\\").replace('"', "\\\"")
-}
-
-fn views(summary: &DatasetSummary, is_beside: bool, downscale: u32) -> String {
-    let path = if is_beside { "." } else { "$DATA" };
-    let hold_out = match (summary.has_test, summary.views >= FEWEST_HELD_OUT) {
-        (true, _) => String::new(),
-        (false, true) => "        // Every 8th view is kept out of the fit to measure the quality; 0: none.\n        hold_out: 8,\n".into(),
-        (false, false) => "        // So few views are all needed; 8 would keep every 8th out of the fit.\n        hold_out: 0,\n".into(),
-    };
-    let size = if downscale > 1 {
-        format!(
-            "        // Full size needs more memory and time, and rarely gives more.\n        downscale: {downscale},\n"
-        )
-    } else {
-        "        // downscale: 2,        // half the size: a quarter of memory and time\n".to_owned()
-    };
-    let layout =
-        if summary.is_asked { format!("        layout: {:?},\n", summary.layout) } else { String::new() };
-    format!(
-        "    views: Dataset(\n        path: \"{path}\",\n{layout}{hold_out}{size}        \
-         // gamma: Linear,       // 8- and 16-bit values are taken as sRGB; this says otherwise\n    ),\n"
-    )
-}
-
-/// Light and material are unknown by default.
-const MATERIAL: &str = "    // Light and material are unknown. What is known can be said, for example:\n    \
-    // light: Fixed(Map(path: \"sky.exr\")),\n    \
-    // material: (specular: (albedo: Fixed(0.04, 0.04, 0.04))),    // a plain dielectric\n    \
-    // material: (gloss: Blend(materials: 2)),                     // glossy and matte regions\n";
-
-fn fits(summary: &DatasetSummary, is_captured: bool) -> String {
-    let mut text = String::new();
-    if is_captured {
-        text += "        // Photographs of a camera: each has an exposure of its own, and poses are a little off. With a locked exposure\n        \
-                 // or exact poses, leave these out. A light that turns with the camera, as on a turntable, is found.\n";
-    }
-    let unknowns = if is_captured { "exposure: Brightness, cameras: Poses" } else { "" };
-    match summary.mesh {
-        Some(_) => text + &format!("        Fit({unknowns}),\n"),
-        None => {
-            let comma = if is_captured { ", " } else { "" };
-            text + &format!(
-                "        Shape({unknowns}),\n        Fit({unknowns}{comma}vertices: true, detail: true,\n            steps: 1200, rates: (albedo: 0.02, light: 0.02, specular: 0.01)),\n"
-            )
-        }
-    }
-}
-
-const LAST_PASSES: &str = "        // The object as a scene of its own, with everything known, and as meshes for other programs.\n        \
-    Save(name: \"saved\"),\n        Export(name: \"export\"),\n    ],\n)\n";
 
 #[cfg(test)]
 mod tests {
@@ -282,24 +208,29 @@ mod tests {
         text
     }
 
+    #[track_caller]
+    fn refused(data: &Path, words: &str) -> Error {
+        let error = scene_for(data, Layout::Auto, Path::new("scene.ron")).unwrap_err();
+        assert!(error.to_string().contains(words) && error.exit_code() == 2, "{error}");
+        error
+    }
+
+    #[track_caller]
+    fn has(text: &str, parts: &[&str]) {
+        parts.iter().for_each(|part| assert!(text.contains(part), "{part}\n{text}"));
+    }
+
     #[test]
     fn an_unknown_shape_has_a_shape_pass() {
         let data = data(13, [8, 6], true);
         let inside = data.path().join("scene.ron");
         let text = loads(data.path(), &inside);
-        for part in [
-            "surface: Unknown()",
-            "path: \".\"",
-            "hold_out: 8",
-            "Shape(exposure: Brightness, cameras: Poses)",
-            "// 13 photographs of 8×6",
-            "up: (0.000, -1.000, 0.000)",
-            "name: \"novel\"",
-        ] {
-            assert!(text.contains(part), "{part}\n{text}");
-        }
-        let options = LoadOptions::default();
-        assert!(load(&inside, &options).is_ok(), "it needs no --data");
+        has(&text, &["surface: Unknown()", "path: \".\"", "hold_out: 8", "// 13 photographs of 8×6"]);
+        has(
+            &text,
+            &["Shape(exposure: Brightness, cameras: Poses)", "up: (0.000, -1.000, 0.000)", "\"novel\""],
+        );
+        assert!(load(&inside, &LoadOptions::default()).is_ok(), "it needs no --data");
         let elsewhere = tempfile::tempdir().unwrap();
         assert!(loads(data.path(), &elsewhere.path().join("a.ron")).contains("path: \"$DATA\""));
     }
@@ -320,7 +251,7 @@ mod tests {
                 .unwrap();
         }
         let text = loads(data.path(), &data.path().join("scene.ron"));
-        assert!(text.contains("hold_out: 8") && text.contains("name: \"novel\""), "{text}");
+        has(&text, &["hold_out: 8", "name: \"novel\""]);
         let test = open_dataset(data.path(), Split::Test, &DatasetOptions::default()).unwrap();
         assert_eq!(test.views.len(), 2);
     }
@@ -330,15 +261,16 @@ mod tests {
         let data = data(3, [1700, 4], false);
         fs::write(data.path().join("statue.glb"), "glTF").unwrap();
         let text = loads(data.path(), &data.path().join("scene.ron"));
-        for part in [
-            "Mesh(path: \"statue.glb\")",
-            "downscale: 2,",
-            "hold_out: 0",
-            "        Fit(exposure",
-            "views: Train",
-        ] {
-            assert!(text.contains(part), "{part}\n{text}");
-        }
+        has(
+            &text,
+            &[
+                "Mesh(path: \"statue.glb\")",
+                "downscale: 2,",
+                "hold_out: 0",
+                "        Fit(exposure",
+                "views: Train",
+            ],
+        );
         fs::write(data.path().join("other.glb"), "glTF").unwrap();
         assert_eq!(mesh_in(data.path()).unwrap(), None);
         fs::write(data.path().join("mesh.gltf"), "{}").unwrap();
@@ -348,66 +280,16 @@ mod tests {
     #[test]
     fn data_of_which_no_shape_follows_is_refused() {
         let data = data(3, [8, 6], false);
-        let error = scene_for(data.path(), Layout::Auto, &data.path().join("scene.ron")).unwrap_err();
-        assert!(error.to_string().contains("neither masks nor a mesh") && error.exit_code() == 2, "{error}");
-    }
-
-    #[test]
-    fn a_folder_that_may_have_masks_is_named() {
-        let data = data(3, [8, 6], false);
-        fs::create_dir(data.path().join("figure")).unwrap();
-        for i in 0..3 {
-            image::GrayImage::from_fn(8, 6, |x, _| Luma([if x > 1 { 255 } else { 0 }]))
-                .save(data.path().join(format!("figure/{i}.png")))
-                .unwrap();
-        }
-        let scene = data.path().join("scene.ron");
-        let error = scene_for(data.path(), Layout::Auto, &scene).unwrap_err();
-        let help = error.help().unwrap();
-        assert!(help.contains("figure has images of the same names: rename it to masks/"), "{help}");
-        fs::rename(data.path().join("figure"), data.path().join("figure_masks")).unwrap();
-        assert!(scene_for(data.path(), Layout::Auto, &scene).unwrap().contains("surface: Unknown()"));
+        refused(data.path(), "neither masks nor a mesh");
     }
 
     #[test]
     fn several_layouts_are_told_in_the_words_of_the_command_line() {
         let data = data(3, [8, 6], true);
         fs::write(data.path().join("cameras.npz"), "").unwrap();
-        let error = summarize(data.path(), Layout::Auto).unwrap_err();
-        assert!(error.to_string().contains("several layouts: Colmap, Idr"), "{error}");
+        let error = refused(data.path(), "several layouts: Colmap, Idr");
         assert_eq!(error.help(), Some("Say which one with `--layout Colmap` or `--layout Idr`."));
-        assert!(
-            scene_for(data.path(), Layout::Colmap, Path::new("scene.ron"))
-                .unwrap()
-                .contains("layout: Colmap")
-        );
-    }
-
-    #[test]
-    fn photographs_without_cameras_lead_to_prepare() {
-        let data = data(3, [8, 6], false);
-        fs::remove_dir_all(data.path().join("sparse")).unwrap();
-        for folder in [data.path().to_owned(), data.path().join("images")] {
-            let error = summarize(&folder, Layout::Auto).unwrap_err();
-            let help = error.help().unwrap();
-            assert!(
-                help.contains("3 photographs and no cameras") && help.contains("lobelia prepare"),
-                "{help}"
-            );
-        }
-        let empty = tempfile::tempdir().unwrap();
-        assert!(summarize(empty.path(), Layout::Auto).unwrap_err().to_string().contains("not a data set"));
-        assert!(
-            summarize(&empty.path().join("none"), Layout::Auto)
-                .unwrap_err()
-                .to_string()
-                .contains("no such folder")
-        );
-        assert!(
-            summarize(&data.path().join("images/0.png"), Layout::Auto)
-                .unwrap_err()
-                .to_string()
-                .contains("a file")
-        );
+        let text = scene_for(data.path(), Layout::Colmap, Path::new("scene.ron")).unwrap();
+        assert!(text.contains("layout: Colmap"), "{text}");
     }
 }

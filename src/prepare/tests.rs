@@ -1,52 +1,115 @@
-//! The whole of `prepare`, with a script in place of COLMAP.
+//! The whole of `prepare`, with a script in place of COLMAP; and scripts and photographs for the tests of its parts.
 
 use super::*;
-use crate::dataset::{DatasetOptions, read_dataset};
 use crate::pass::progress::{Bar, Silent};
-use crate::prepare::test_data::{disc, fake_ffmpeg, script};
 use crate::scene::{LoadOptions, load};
-use crate::view::Split;
+use image::{Rgb, RgbImage};
+use lobelia_geometry::view::Split;
+use lobelia_io::dataset::{DatasetOptions, read_dataset};
 use std::cell::RefCell;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::io::Write as _;
+use std::os::unix::fs::OpenOptionsExt as _;
+use std::path::Path;
 use tempfile::TempDir;
+
+/// An executable shell script.
+pub(super) fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
+    let path = folder.join(name);
+    let mut options = fs::OpenOptions::new();
+    let mut file = options.write(true).create(true).truncate(true).mode(0o755).open(&path).unwrap();
+    write!(file, "#!/bin/sh\n{body}\n").unwrap();
+    drop(file);
+    path
+}
+
+/// An ffmpeg that counts this many frames in a video of so many seconds, and writes the frames that
+/// lie beside it as `000001.jpg`….
+pub(super) fn fake_ffmpeg(folder: &Path, frames: u64, seconds: u64) -> PathBuf {
+    // The last argument is the pattern of the frames, or nothing that is written.
+    let body = format!(
+        r#"here=$(dirname "$0"); echo "$@" >> "$here/ffmpeg-calls"; for last; do :; done
+if [ "$last" = - ]; then
+  echo frame={frames}; echo out_time_ms={seconds}000000
+else
+  cp "$here"/0*.jpg "$(dirname "$last")" 2>&1; echo frame=1
+fi"#
+    );
+    script(folder, "ffmpeg", &body)
+}
+
+/// A photograph of a reddish disc in front of a gray backdrop.
+pub(super) fn disc(width: u32, height: u32) -> RgbImage {
+    RgbImage::from_fn(width, height, |x, y| {
+        if in_disc(width, height, x, y) { Rgb([160, 60, 40]) } else { Rgb([200 - x as u8, 190, 180]) }
+    })
+}
+
+/// The mask of [`disc`].
+pub(super) fn disc_mask(width: u32, height: u32) -> image::GrayImage {
+    image::GrayImage::from_fn(width, height, |x, y| {
+        image::Luma([255 * u8::from(in_disc(width, height, x, y))])
+    })
+}
+
+fn in_disc(width: u32, height: u32, x: u32, y: u32) -> bool {
+    let off = |at: u32, side: u32| at as f32 + 0.5 - side as f32 / 2.0;
+    off(x, width).hypot(off(y, height)) < width.min(height) as f32 / 4.0
+}
 
 /// Where the script finds the value of an option: `of --output_path "$@"`.
 const OPTIONS: &str = r#"
 of() { wanted=$1; shift; while [ $# -gt 0 ]; do if [ "$1" = "$wanted" ]; then echo "$2"; return; fi; shift; done; }
 here=$(dirname "$0"); out=$(of --output_path "$@"); echo "$@" >> "$here/calls"
 "#;
-/// What COLMAP does, with models that lie beside the script.
+/// Stand-in for COLMAP, with models that lie beside the script.
 const COLMAP: &str = r#"
 if [ "$2" = -h ]; then echo "--ImageReader.single_camera arg --SiftExtraction.use_gpu arg"; exit 0; fi
 case $1 in
   feature_extractor) echo made > "$(of --database_path "$@")"; echo "Processed file [3/3]" ;;
-  exhaustive_matcher) test -s "$(of --database_path "$@")" || exit 9; echo "Matching block [1/1, 1/1] in 1s" ;;
-  matches_importer) cp "$(of --match_list_path "$@")" "$here/pairs" ;;
+  exhaustive_matcher | sequential_matcher) test -s "$(of --database_path "$@")" || exit 9; echo "Matching block [1/1, 1/1] in 1s" ;;
   point_triangulator) cp "$here"/found-again/* "$out" ;;
   bundle_adjuster) cp "$(of --input_path "$@")"/* "$out" ;;
   mapper) cp -r "$here"/models/. "$out"; echo "Registering image #1 (3)" ;;
   image_undistorter) mkdir -p "$out/images" "$out/sparse"
     cp -rL "$(of --image_path "$@")"/. "$out/images"; cp "$(of --input_path "$@")"/* "$out/sparse" ;;
+  model_analyzer) echo "I2026 model.cc:1] Mean reprojection error: 0.625000px" ;;
   *) echo "unknown command $1"; exit 1 ;;
 esac
 "#;
+
+/// Notes that are told.
+#[derive(Default)]
+struct Notes(RefCell<String>);
+
+impl Progress for Notes {
+    fn note(&self, text: &str) {
+        *self.0.borrow_mut() += &format!("{text}\n");
+    }
+
+    fn print(&self, _: &str) {}
+
+    fn bar(&self, _: &str, _: u64) -> Box<dyn Bar> {
+        Box::new(Silent)
+    }
+}
 
 struct Capture {
     folder: TempDir,
 }
 
 impl Capture {
-    /// Four photographs of a disc, of which COLMAP finds the cameras of three.
+    /// Four photographs of a disc with masks, of which COLMAP finds the cameras of three.
     fn new() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let capture = Self { folder };
+        let capture = Self { folder: tempfile::tempdir().unwrap() };
         fs::create_dir(capture.path("photos")).unwrap();
+        fs::create_dir(capture.path("masks")).unwrap();
         for name in ["a.jpg", "b.jpg", "c.png", "d.jpg"] {
             disc(48, 36).save(capture.path("photos").join(name)).unwrap();
+            disc_mask(48, 36).save(capture.path("masks").join(name).with_extension("png")).unwrap();
         }
-        capture.model("0", &["a.jpg", "c.png", "d.jpg"]);
-        capture.colmap(COLMAP);
+        capture.model("models/0", &["a.jpg", "c.png", "d.jpg"]);
+        capture.script("colmap", &format!("{OPTIONS}{COLMAP}"));
         capture
     }
 
@@ -54,28 +117,57 @@ impl Capture {
         self.folder.path().join(name)
     }
 
-    fn colmap(&self, body: &str) {
-        script(self.folder.path(), "colmap", &format!("{OPTIONS}{body}"));
+    fn script(&self, name: &str, body: &str) -> PathBuf {
+        script(self.folder.path(), name, body)
+    }
+
+    /// A COLMAP in whose script a part is replaced.
+    fn colmap(&self, part: &str, by: &str) {
+        let body = COLMAP.replace(part, by);
+        assert!(body != COLMAP || part == by);
+        self.script("colmap", &format!("{OPTIONS}{body}"));
+    }
+
+    /// A COLMAP of which a command fails and says something.
+    fn failing(&self, command: &str, said: &str) {
+        self.colmap(&format!("  {command})"), &format!("  {command}) echo '{said}'; exit 1;;\n  unused)"));
+    }
+
+    /// A COLMAP that works.
+    fn mended(&self) {
+        self.colmap("", "");
     }
 
     /// A binary model with these photographs and two points.
     fn model(&self, name: &str, photographs: &[&str]) {
-        write_model(&self.path("models").join(name), photographs, 0);
+        write_model(&self.path(name), photographs);
     }
 
-    fn options(&self) -> PrepareOptions {
-        let masks = MaskSource::Backdrop;
-        let colmap = self.path("colmap");
-        PrepareOptions { masks, colmap, ..PrepareOptions::new(self.path("photos"), self.path("out")) }
-    }
-
-    /// What is said of options, changed so that they are refused.
-    fn refused(&self, change: impl FnOnce(&mut PrepareOptions)) -> String {
-        let mut options = self.options();
+    /// Prepares with changed options, and returns the notes too.
+    fn attempt(&self, change: impl FnOnce(&mut PrepareOptions)) -> (Result<Prepared>, String) {
+        let mut options = PrepareOptions::new(self.path("photos"), self.path("out"));
+        options.masks = MaskSource::Folder(self.path("masks"));
+        (options.colmap, options.rembg) = (self.path("colmap"), self.path("rembg"));
         change(&mut options);
-        refused(&options)
+        let notes = Notes::default();
+        (prepare(&options, &notes), notes.0.into_inner())
     }
 
+    #[track_caller]
+    fn prepare(&self, change: impl FnOnce(&mut PrepareOptions)) -> (Prepared, String) {
+        let (prepared, notes) = self.attempt(change);
+        (prepared.unwrap(), notes)
+    }
+
+    /// Checks that changed options are refused with these words.
+    #[track_caller]
+    fn refused(&self, change: impl FnOnce(&mut PrepareOptions), words: &[&str]) {
+        let error = self.attempt(change).0.unwrap_err();
+        let text = format!("{error} {}", error.help().unwrap_or_default());
+        words.iter().for_each(|word| assert!(text.contains(word), "no {word:?} in {text}"));
+    }
+
+    /// The commands of COLMAP since this was called last.
     fn calls(&self) -> Vec<String> {
         let text = fs::read_to_string(self.path("calls")).unwrap_or_default();
         let _ = fs::remove_file(self.path("calls"));
@@ -84,8 +176,8 @@ impl Capture {
     }
 }
 
-/// A binary model with these photographs, each with so many features of the first of two points.
-fn write_model(model: &Path, photographs: &[&str], features: u64) {
+/// A binary model with these photographs and two points.
+fn write_model(model: &Path, photographs: &[&str]) {
     fs::create_dir_all(model).unwrap();
     let words = |values: &[u64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
     let numbers = |values: &[f64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
@@ -104,11 +196,7 @@ fn write_model(model: &Path, photographs: &[&str], features: u64) {
         images.extend(1u32.to_le_bytes());
         images.extend(photograph.as_bytes());
         images.push(0);
-        images.extend(words(&[features]));
-        for _ in 0..features {
-            images.extend(numbers(&[0.0, 0.0]));
-            images.extend(words(&[1]));
-        }
+        images.extend(words(&[0]));
     }
     fs::write(model.join("images.bin"), images).unwrap();
     let point =
@@ -116,16 +204,18 @@ fn write_model(model: &Path, photographs: &[&str], features: u64) {
     fs::write(model.join("points3D.bin"), [words(&[2]), point(0.5), point(0.75)].concat()).unwrap();
 }
 
-fn refused(options: &PrepareOptions) -> String {
-    let error = prepare(options, &Silent).unwrap_err();
-    format!("{error} {}", error.help().unwrap_or_default())
+fn no_masks(options: &mut PrepareOptions) {
+    options.masks = MaskSource::Auto;
 }
+
+fn as_they_are(_: &mut PrepareOptions) {}
 
 #[test]
 fn photographs_become_a_data_set_that_is_read() {
     let capture = Capture::new();
-    let prepared = prepare(&capture.options(), &Silent).unwrap();
+    let (prepared, notes) = capture.prepare(as_they_are);
     assert_eq!(prepared.to_string(), "registered 3 of 4, reprojection error 0.62 px; left out: b.jpg");
+    assert!(notes.contains("`--features object`"), "{notes}");
     let out = capture.path("out");
     let options = DatasetOptions { hold_out: 0, ..DatasetOptions::default() };
     let read = read_dataset(&out, Split::Train, &options).unwrap();
@@ -138,65 +228,70 @@ fn photographs_become_a_data_set_that_is_read() {
     let loaded = load(&out.join("scene.ron"), &LoadOptions::default()).unwrap();
     assert_eq!(prepared.scene, Some(loaded.path));
     assert!(!out.join(".work").exists() && out.join("logs/mapping.log").is_file());
-    assert!(refused(&capture.options()).contains("is not empty"));
+    capture.refused(as_they_are, &["is not empty", "a data set that is finished"]);
 }
 
-/// The sharpest frames take the place of photographs; a second run, after a stop, does not extract them again.
+/// Frames take the place of photographs; a second run, after a stop, does not extract them again.
 #[test]
-fn a_video_becomes_a_data_set_of_its_sharpest_frames() {
+fn a_video_becomes_a_data_set_of_its_frames() {
     let capture = Capture::new();
-    let names = |numbers: &[u32]| numbers.iter().map(|n| format!("{n:06}.jpg")).collect::<Vec<_>>();
-    for (i, name) in names(&[1, 2, 3, 4, 5, 6, 7, 8]).iter().enumerate() {
-        let sharp = disc(48, 36);
-        let frame = if i % 2 == 1 { sharp } else { image::imageops::blur(&sharp, 1.5) };
-        frame.save(capture.path(name)).unwrap();
-    }
-    let kept = names(&[2, 4, 6, 8]);
-    fs::remove_dir_all(capture.path("models")).unwrap();
-    capture.model("0", &kept.iter().map(String::as_str).collect::<Vec<_>>());
+    let names = ["000001.jpg", "000002.jpg", "000003.jpg", "000004.jpg"];
+    names.iter().for_each(|name| disc(48, 36).save(capture.path(name)).unwrap());
+    capture.model("models/0", &names);
     fs::write(capture.path("clip.mov"), b"\0\0\0\x18ftypqt  \0\0\0\0").unwrap();
-    let ffmpeg = fake_ffmpeg(capture.folder.path(), 8, "00:00:00.32");
-    let (photographs, frames) = (capture.path("clip.mov"), FrameCount::Count(4));
-    let options = PrepareOptions { photographs, frames, ffmpeg, ..capture.options() };
-    capture.colmap(&COLMAP.replace("  mapper)", "  mapper) exit 1;;\n  unused)"));
-    assert!(refused(&options).contains("colmap mapper"));
-    capture.colmap(COLMAP);
-    let prepared = prepare(&options, &Silent).unwrap();
-    let expected =
-        "4 of 8 frames, the sharpest of each interval\nregistered 4 of 4, reprojection error 0.62 px";
+    let of_video = |options: &mut PrepareOptions| {
+        (options.photographs, options.masks) = (capture.path("clip.mov"), MaskSource::Auto);
+        options.ffmpeg = fake_ffmpeg(capture.folder.path(), 8, 1);
+        options.frames = FrameCount::Count(4);
+    };
+    capture.failing("mapper", "");
+    capture.refused(of_video, &["colmap mapper"]);
+    capture.mended();
+    let (prepared, _) = capture.prepare(of_video);
+    let expected = "4 of 8 frames\nregistered 4 of 4, reprojection error 0.62 px";
     assert_eq!(prepared.to_string(), expected);
-    let mut made: Vec<_> = fs::read_dir(capture.path("out/images"))
-        .unwrap()
-        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-        .collect();
-    made.sort();
-    assert_eq!(made, kept);
+    assert_eq!(fs::read_dir(capture.path("out/images")).unwrap().count(), 4);
     let said = fs::read_to_string(capture.path("ffmpeg-calls")).unwrap();
     assert_eq!(said.lines().filter(|line| line.contains("select=")).count(), 1, "{said}");
-    assert!(!capture.path("out/.work").exists() && prepared.scene.is_some());
 }
 
-/// What has the name of a result is replaced while work goes on.
+#[test]
+fn rembg_makes_masks_where_it_is_installed() {
+    let capture = Capture::new();
+    let body = r#"here=$(dirname "$0"); echo "$@" > "$here/rembg-call"; for last; do :; done; cp "$here"/masks/* "$last""#;
+    capture.script("rembg", body);
+    let (prepared, notes) = capture.prepare(no_masks);
+    assert!(prepared.scene.is_some());
+    assert!(notes.contains("rembg makes the masks"), "{notes}");
+    let call = fs::read_to_string(capture.path("rembg-call")).unwrap();
+    assert!(call.starts_with("p -m isnet-general-use -om ") && call.contains(".work/photographs"), "{call}");
+    // A photograph that it makes no mask of is named.
+    fs::remove_dir_all(capture.path("out")).unwrap();
+    fs::remove_file(capture.path("masks/c.png")).unwrap();
+    capture.refused(no_masks, &["the mask of `c.png` is missing", "rembg"]);
+}
+
+/// Files with the name of a result are replaced while work goes on.
 #[test]
 fn photographs_and_masks_in_the_output_folder_are_refused() {
     let capture = Capture::new();
-    let out = capture.path("photos");
-    fs::create_dir_all(out.join(".work")).unwrap();
-    fs::rename(capture.path("photos/a.jpg"), capture.path("a.jpg")).unwrap();
-    fs::create_dir(out.join("images")).unwrap();
-    fs::rename(capture.path("a.jpg"), out.join("images/a.jpg")).unwrap();
-    let given = PrepareOptions { photographs: out.join("images"), out: out.clone(), ..capture.options() };
-    assert!(refused(&given).contains("the photographs, "), "{}", refused(&given));
-    let masks = MaskSource::Folder(out.join("images"));
-    let given = PrepareOptions { photographs: capture.path("models"), out, masks, ..capture.options() };
-    assert!(refused(&given).contains("the masks, "), "{}", refused(&given));
-    assert!(capture.path("photos/images/a.jpg").is_file());
+    let (out, images) = (capture.path("models"), capture.path("models/images"));
+    fs::rename(capture.path("photos"), &images).unwrap();
+    let photographs = |options: &mut PrepareOptions| {
+        (options.photographs, options.out) = (images.clone(), out.clone());
+    };
+    capture.refused(photographs, &["the photographs, "]);
+    let masks = |options: &mut PrepareOptions| {
+        (options.masks, options.out) = (MaskSource::Folder(images.clone()), out.clone());
+    };
+    capture.refused(masks, &["the masks, "]);
+    assert!(images.join("a.jpg").is_file());
 }
 
 #[test]
 fn distorted_photographs_are_kept_byte_by_byte() {
     let capture = Capture::new();
-    prepare(&PrepareOptions { keep_distortion: true, ..capture.options() }, &Silent).unwrap();
+    capture.prepare(|options| options.keep_distortion = true);
     assert!(!capture.calls().contains(&"image_undistorter".to_owned()));
     let bytes = |path: PathBuf| fs::read(path).unwrap();
     let out = capture.path("out");
@@ -208,84 +303,47 @@ fn distorted_photographs_are_kept_byte_by_byte() {
 #[test]
 fn without_masks_there_is_no_scene_file() {
     let capture = Capture::new();
-    let prepared =
-        prepare(&PrepareOptions { masks: MaskSource::Alpha, ..capture.options() }, &Silent).unwrap();
-    assert!(prepared.scene.is_none() && !prepared.has_masks);
+    let (prepared, notes) = capture.prepare(no_masks);
+    assert!(prepared.scene.is_none());
+    assert!(notes.contains("pip install \"rembg[cpu,cli]\"") && notes.contains("--mask-command"), "{notes}");
     assert!(!capture.path("out/masks").exists() && !capture.path("out/scene.ron").exists());
     assert!(capture.path("out/sparse/0/images.bin").is_file());
 }
 
-/// A step that fails leaves nothing under a final name, and what was done before it is not done again.
+/// A step that fails leaves nothing under a final name, and what was done before it is not done
+/// again, unless options change.
 #[test]
 fn a_failure_is_explained_and_work_goes_on_after_it() {
     let capture = Capture::new();
-    capture.colmap(&COLMAP.replace("  mapper)", "  mapper) echo 'out of memory'; exit 1;;\n  unused)"));
-    let text = refused(&capture.options());
-    assert!(text.contains("colmap mapper: it failed") && text.contains("out of memory"), "{text}");
-    assert!(text.contains("mapping.log"), "{text}");
-    let names: Vec<_> =
-        fs::read_dir(capture.path("out")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
-    assert_eq!(names.len(), 2, "{names:?}");
+    capture.failing("mapper", "out of memory");
+    capture.refused(as_they_are, &["colmap mapper: it failed", "out of memory", "mapping.log"]);
+    assert_eq!(fs::read_dir(capture.path("out")).unwrap().count(), 2, "work and logs");
     assert_eq!(capture.calls(), ["feature_extractor", "exhaustive_matcher", "mapper"]);
-    capture.colmap(COLMAP);
-    prepare(&capture.options(), &Silent).unwrap();
-    assert_eq!(capture.calls(), ["mapper", "image_undistorter", "image_undistorter"]);
-}
-
-#[test]
-fn other_options_do_later_steps_again() {
-    let capture = Capture::new();
-    capture.colmap(&COLMAP.replace("  image_undistorter)", "  image_undistorter) exit 1;;\n  unused)"));
-    refused(&capture.options());
-    capture.calls();
-    capture.colmap(COLMAP);
-    prepare(&PrepareOptions { lens: LensModel::Radial, ..capture.options() }, &Silent).unwrap();
+    capture.failing("image_undistorter", "");
+    capture.refused(as_they_are, &["image_undistorter: it failed"]);
+    assert_eq!(capture.calls(), ["mapper", "image_undistorter"]);
+    capture.mended();
+    capture.prepare(|options| options.lens = "RADIAL");
     assert_eq!(capture.calls()[..3], ["feature_extractor", "exhaustive_matcher", "mapper"]);
 }
 
 #[test]
 fn no_cameras_are_explained() {
     let capture = Capture::new();
-    capture.colmap(
-        &COLMAP.replace(
-            "  mapper)",
-            "  mapper) echo 'ERROR: failed to create sparse model'; exit 1;;\n  unused)",
-        ),
-    );
-    let text = refused(&capture.options());
-    assert!(text.contains("no pair of photographs to start from") && text.contains("overlap"), "{text}");
-    fs::remove_dir_all(capture.path("models")).unwrap();
-    capture.model("0", &["a.jpg", "d.jpg"]);
-    capture.colmap(COLMAP);
-    assert!(refused(&capture.options()).contains("the cameras of 2 photographs only"));
-}
-
-/// Notes that are told.
-#[derive(Default)]
-struct Notes(RefCell<Vec<String>>);
-
-impl Progress for Notes {
-    fn note(&self, text: &str) {
-        self.0.borrow_mut().push(text.to_owned());
-    }
-
-    fn print(&self, _: &str) {}
-
-    fn bar(&self, _: &str, _: u64) -> Box<dyn Bar> {
-        Box::new(Silent)
-    }
+    capture.failing("mapper", "ERROR: failed to create sparse model");
+    capture.refused(as_they_are, &["no pair of photographs to start from", "overlap"]);
+    capture.model("models/0", &["a.jpg", "d.jpg"]);
+    capture.mended();
+    capture.refused(as_they_are, &["the cameras of 2 photographs only"]);
 }
 
 #[test]
 fn of_several_models_the_largest_is_used_and_said() {
     let capture = Capture::new();
-    capture.model("1", &["a.jpg", "b.jpg", "c.png", "d.jpg"]);
-    let notes = Notes::default();
-    let prepared = prepare(&capture.options(), &notes).unwrap();
+    capture.model("models/1", &["a.jpg", "b.jpg", "c.png", "d.jpg"]);
+    let (prepared, notes) = capture.prepare(as_they_are);
     assert!(prepared.left_out.is_empty());
-    let notes = notes.0.into_inner().join("\n");
-    assert!(notes.contains("2 models, of 4, 3 photographs"), "{notes}");
-    assert!(notes.contains("the background is plain"), "{notes}");
+    assert!(notes.contains("2 models of 3, 4 images; only the largest"), "{notes}");
 }
 
 #[test]
@@ -295,86 +353,48 @@ fn many_photographs_of_one_camera_are_adjusted_in_rounds() {
     fs::create_dir(capture.path("many")).unwrap();
     names.iter().for_each(|name| disc(48, 36).save(capture.path("many").join(name)).unwrap());
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
-    capture.model("0", &names);
-    write_model(&capture.path("found-again"), &names, 2);
-    let photographs = capture.path("many");
-    let options = PrepareOptions { photographs, masks: MaskSource::Alpha, ..capture.options() };
-    prepare(&options, &Silent).unwrap();
-    let calls = capture.calls();
+    capture.model("models/0", &names);
+    capture.model("found-again", &names[..19]);
+    capture.prepare(|options| {
+        (options.photographs, options.masks) = (capture.path("many"), MaskSource::Auto);
+    });
     let expected =
         [["bundle_adjuster"; 1].as_slice(), &["point_triangulator", "bundle_adjuster"].repeat(3)].concat();
-    assert_eq!(calls[3..10], expected);
+    assert_eq!(capture.calls()[3..10], expected);
     let images = |folder: &str| fs::read(capture.path(folder).join("images.bin")).unwrap();
     assert_eq!(images("out/sparse/0"), images("found-again"));
 }
 
-/// Three photographs of a square that changes before a pattern that does not, and their masks.
-fn turntable() -> (Capture, PrepareOptions) {
+#[test]
+fn options_are_given_to_colmap() {
     let capture = Capture::new();
-    let (photos, masks) = (capture.path("table"), capture.path("masks"));
-    fs::create_dir(&photos).unwrap();
-    fs::create_dir(&masks).unwrap();
-    let inside = |x: u32, y: u32| (18..30).contains(&x) && (12..24).contains(&y);
-    for (i, name) in ["a", "c", "d"].iter().enumerate() {
-        let pattern = |x: u32, y: u32| 60 * ((x / 6 + y / 6) % 3) as u8;
-        let photograph = image::RgbImage::from_fn(48, 36, |x, y| {
-            image::Rgb([if inside(x, y) { 80 * i as u8 } else { pattern(x, y) }; 3])
-        });
-        photograph.save(photos.join(format!("{name}.png"))).unwrap();
-        let mask = image::GrayImage::from_fn(48, 36, |x, y| image::Luma([255 * u8::from(inside(x, y))]));
-        mask.save(masks.join(format!("{name}.png"))).unwrap();
-    }
-    write_model(&capture.path("models/0"), &["a.png", "c.png", "d.png"], 4);
-    let options =
-        PrepareOptions { photographs: photos, masks: MaskSource::Folder(masks), ..capture.options() };
-    (capture, options)
-}
-
-#[test]
-fn on_a_turntable_cameras_are_adjusted_by_what_turns_with_the_object() {
-    let (capture, options) = turntable();
-    write_model(&capture.path("found-again"), &["a.png", "c.png", "d.png"], 5);
-    let notes = Notes::default();
-    prepare(&options, &notes).unwrap();
-    let notes = notes.0.into_inner().join("\n");
-    assert!(notes.contains("25 % more observations of points"), "{notes}");
-    let round = ["point_triangulator", "bundle_adjuster"];
-    let first =
-        ["feature_extractor", "exhaustive_matcher", "mapper", "feature_extractor", "matches_importer"];
-    let expected = [first.as_slice(), &round, &round, &round, &["image_undistorter"; 2]].concat();
-    assert_eq!(capture.calls(), expected);
-    assert_eq!(fs::read_to_string(capture.path("pairs")).unwrap(), "a.png c.png\na.png d.png\nc.png d.png\n");
-    let images = |folder: &str| fs::read(capture.path(folder).join("images.bin")).unwrap();
-    assert_eq!(images("out/sparse/0"), images("found-again"));
-}
-
-#[test]
-fn cameras_stay_where_nothing_else_turns() {
-    let (capture, options) = turntable();
-    write_model(&capture.path("found-again"), &["a.png", "c.png", "d.png"], 3);
-    let notes = Notes::default();
-    prepare(&options, &notes).unwrap();
-    assert!(notes.0.into_inner().join("\n").contains("nothing around the object turns with it"));
-    let images = |folder: &str| fs::read(capture.path(folder).join("images.bin")).unwrap();
-    assert_eq!(images("out/sparse/0"), images("models/0"));
-    fs::remove_dir_all(capture.path("out")).unwrap();
-    capture.colmap(
-        &COLMAP.replace("  bundle_adjuster)", "  bundle_adjuster) echo 'no residuals'; exit 1;;\n  unused)"),
+    let said = |change: fn(&mut PrepareOptions), all: &[&str]| {
+        let _ = fs::remove_dir_all(capture.path("out"));
+        capture.prepare(change);
+        let text = fs::read_to_string(capture.path("calls")).unwrap();
+        all.iter().for_each(|words| assert!(text.contains(words), "{words}\n{text}"));
+    };
+    let change = |options: &mut PrepareOptions| {
+        (options.object_features, options.lens) = (true, "RADIAL");
+        options.matching = Matching::Sequential;
+    };
+    said(
+        change,
+        &[
+            "--ImageReader.camera_model RADIAL --ImageReader.single_camera 1 --ImageReader.mask_path",
+            "--SiftExtraction.use_gpu 0",
+            "--SiftMatching.use_gpu 0 --SequentialMatching.overlap 20",
+            "--Mapper.filter_max_reproj_error 1.2",
+        ],
     );
-    let notes = Notes::default();
-    prepare(&options, &notes).unwrap();
-    let notes = notes.0.into_inner().join("\n");
-    assert!(
-        notes.contains("by the object alone: colmap bundle_adjuster") && notes.contains("no residuals"),
-        "{notes}"
-    );
-    assert_eq!(images("out/sparse/0"), images("models/0"));
-    fs::remove_dir_all(capture.path("out")).unwrap();
-    capture.calls();
-    prepare(&PrepareOptions { features: FeatureArea::Object, ..options }, &Silent).unwrap();
-    assert_eq!(
-        capture.calls()[..4],
-        ["feature_extractor", "exhaustive_matcher", "mapper", "image_undistorter"]
+    // Newer versions of COLMAP have other names.
+    capture.colmap("SiftExtraction", "FeatureExtraction");
+    said(
+        |options| (options.gpu, options.camera_per_image) = (true, true),
+        &[
+            "--ImageReader.single_camera_per_image 1 --FeatureExtraction.use_gpu 1",
+            "--FeatureMatching.use_gpu 1 --ExhaustiveMatching.block_size 10",
+        ],
     );
 }
 
@@ -385,72 +405,44 @@ fn a_photograph_that_is_cut_off_never_reaches_colmap() {
     let path = capture.path("photos/b.jpg");
     let whole = fs::read(&path).unwrap();
     fs::write(&path, &whole[..whole.len() - 40]).unwrap();
-    let text = refused(&capture.options());
-    assert!(text.contains("photos/b.jpg: a JPEG that is damaged or truncated"), "{text}");
-    assert!(text.contains("Copy it again, or remove it."), "{text}");
+    let words = ["photos/b.jpg: a JPEG that is damaged or truncated", "Copy it again, or remove it."];
+    capture.refused(as_they_are, &words);
     assert!(capture.calls().is_empty());
     fs::write(&path, whole).unwrap();
-    prepare(&capture.options(), &Silent).unwrap();
+    capture.prepare(as_they_are);
 }
 
 #[test]
 fn bad_input_leaves_no_folder() {
     let capture = Capture::new();
-    let text = capture.refused(|options| options.colmap = "no-such-colmap-anywhere".into());
-    assert!(
-        text.contains("no program `no-such-colmap-anywhere` on the PATH")
-            && text.contains("apt install colmap"),
-        "{text}"
+    capture.refused(
+        |options| options.colmap = "no-such-colmap-anywhere".into(),
+        &["no program `no-such-colmap-anywhere` on the PATH", "apt install colmap"],
     );
-    let text = capture.refused(|options| options.photographs = capture.path("none"));
-    assert!(text.contains("no such folder"), "{text}");
-    let text = capture.refused(|options| options.masks = MaskSource::Command("rembg".into()));
-    assert!(text.contains("has no {in}"), "{text}");
-    assert!(!capture.path("out").exists());
-    let other = script(capture.folder.path(), "other", "echo some other program");
-    let text = capture.refused(|options| options.colmap = other);
-    assert!(text.contains("is not COLMAP"), "{text}");
-    fs::create_dir(capture.path("out")).unwrap();
-    fs::write(capture.path("out/thesis.txt"), "x").unwrap();
-    assert!(refused(&capture.options()).contains("it has thesis.txt"));
-    assert_eq!(fs::read_dir(capture.path("out")).unwrap().count(), 1);
-}
-
-#[test]
-fn bad_videos_leave_no_folder() {
-    let capture = Capture::new();
+    let other = capture.script("other", "echo some other program");
+    capture.refused(|options| options.colmap = other, &["is not COLMAP"]);
+    capture.refused(|options| options.photographs = capture.path("none"), &["no such folder"]);
+    capture.refused(|options| options.masks = MaskSource::Command("rembg".into()), &["has no {in}"]);
     for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
-        let text = capture.refused(|options| options.frames = FrameCount::PerSecond(bad));
-        assert!(text.contains("frames per second"), "{text}");
+        capture.refused(|options| options.frames = FrameCount::PerSecond(bad), &["frames per second"]);
     }
-    let text = capture.refused(|options| options.frames = FrameCount::Count(2));
-    assert!(text.contains("2 frames of a video, and cameras need at least 3"), "{text}");
+    let few = "2 frames of a video, and cameras need at least 3";
+    capture.refused(|options| options.frames = FrameCount::Count(2), &[few]);
+    for frames in [FrameCount::Count(50), FrameCount::PerSecond(2.0)] {
+        let words = ["photos is a folder of photographs", "Leave out --frames and --fps"];
+        capture.refused(|options| options.frames = frames, &words);
+    }
     let video = capture.path("clip");
     fs::write(&video, b"\0\0\0\x18ftypqt  \0\0\0\0").unwrap();
-    let of_video = |ffmpeg: PathBuf| {
-        capture.refused(|options| {
-            (options.photographs, options.ffmpeg) = (video.clone(), ffmpeg);
-            options.frames = FrameCount::Count(50);
-        })
+    let of_video = |options: &mut PrepareOptions| {
+        (options.photographs, options.ffmpeg) = (video, "no-such-ffmpeg".into());
     };
-    assert!(of_video("no-such-ffmpeg-anywhere".into()).contains("apt install ffmpeg"));
-    let broken = script(capture.folder.path(), "broken", "echo moov atom not found >&2; exit 1");
-    assert!(of_video(broken).contains("moov atom not found"));
-    let text = of_video(fake_ffmpeg(capture.folder.path(), 40, "00:00:01.60"));
-    assert!(text.contains("40 frames, fewer than the 50 of --frames 50"), "{text}");
+    capture.refused(of_video, &["apt install ffmpeg"]);
     assert!(!capture.path("out").exists());
-}
-
-#[test]
-fn frames_of_a_folder_of_photographs_are_refused() {
-    let capture = Capture::new();
-    for frames in [FrameCount::Count(50), FrameCount::PerSecond(2.0)] {
-        let error = prepare(&PrepareOptions { frames, ..capture.options() }, &Silent).unwrap_err();
-        assert_eq!(error.exit_code(), 2);
-        assert!(error.to_string().contains("photos is a folder of photographs"), "{error}");
-        assert!(error.help().unwrap().contains("Leave out --frames and --fps"), "{error:?}");
-        assert!(!capture.path("out").exists(), "it is refused before anything is written");
-    }
+    fs::create_dir(capture.path("out")).unwrap();
+    fs::write(capture.path("out/thesis.txt"), "x").unwrap();
+    capture.refused(as_they_are, &["it has thesis.txt"]);
+    assert_eq!(fs::read_dir(capture.path("out")).unwrap().count(), 1);
 }
 
 /// Cameras that were found by what stands still have a distortion that leaves little of the photographs.
@@ -459,22 +451,7 @@ fn cameras_that_leave_little_of_a_photograph_are_refused() {
     let capture = Capture::new();
     disc(10, 8).save(capture.path("small.jpg")).unwrap();
     let shrink = "cp -f \"$here/small.jpg\" \"$out/images/a.jpg\"; cp \"$(of --input_path \"$@\")\"/* \"$out/sparse\" ;;";
-    let body = COLMAP.replace("cp \"$(of --input_path \"$@\")\"/* \"$out/sparse\" ;;", shrink);
-    assert_ne!(body, COLMAP);
-    capture.colmap(&body);
-    let text = refused(&capture.options());
-    assert!(
-        ["photos/a.jpg", "10×8 of its 48×36", "--masks DIR"].iter().all(|word| text.contains(word)),
-        "{text}"
-    );
+    capture.colmap("cp \"$(of --input_path \"$@\")\"/* \"$out/sparse\" ;;", shrink);
+    capture.refused(as_they_are, &["photos/a.jpg", "10×8 of its 48×36", "--features object"]);
     assert!(!capture.path("out/images").exists());
-}
-
-#[test]
-fn a_turntable_without_masks_is_named() {
-    let capture = Capture::new();
-    let notes = Notes::default();
-    prepare(&PrepareOptions { masks: MaskSource::Alpha, ..capture.options() }, &notes).unwrap();
-    let said = notes.0.into_inner().join("\n");
-    assert!(said.contains("the same in all photographs") && said.contains("no masks"), "{said}");
 }

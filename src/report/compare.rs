@@ -1,14 +1,11 @@
 //! `lobelia eval PREDICTION TRUTH`: scores two folders of images, or two images, against each other.
 
-use crate::codec::file::read_folder;
-use crate::codec::image::{BRIGHTEST, Gamma, IMAGE_EXTENSIONS, LoadedImage, Orientation, read_image};
-use crate::report::metrics;
-use crate::report::score_table::aligned;
-use crate::report::scores;
-use crate::report::scores::{EvalView, PassScores, Scaling};
-use crate::{Error, Result};
+use crate::report::metrics::erode;
+use crate::report::scores::{EvalView, PassScores, Scaling, aligned, score_views};
+use lobelia_geometry::{Error, Result};
+use lobelia_io::codec::file::read_folder;
+use lobelia_io::codec::image::{BRIGHTEST, Gamma, IMAGE_EXTENSIONS, Orientation, read_image};
 use std::collections::BTreeMap;
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 /// The result of a comparison.
@@ -36,13 +33,47 @@ pub fn compare(prediction: &Path, truth: &Path, scaling: Scaling) -> Result<Comp
     if scaling == Scaling::PerLayer {
         return Err(Error::usage("images have no separate layers to scale", "use per-channel scaling"));
     }
-    let matched = match_files(prediction, truth)?;
+    let is_folder = |path: &Path| match path.metadata() {
+        Ok(found) => Ok(found.is_dir()),
+        Err(error) => {
+            let problem = format!("cannot be opened: {error}");
+            Err(Error::input(path, "", problem, "give two files or two folders"))
+        }
+    };
+    // By stem.
+    let (predictions, mut truths) = match (is_folder(prediction)?, is_folder(truth)?) {
+        (true, true) => (images_in(prediction)?, images_in(truth)?),
+        (false, false) => {
+            let name = prediction.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let of = |path: &Path| BTreeMap::from([(name.clone(), path.to_owned())]);
+            (of(prediction), of(truth))
+        }
+        _ => {
+            let (prediction, truth) = (prediction.display(), truth.display());
+            let problem = format!("one of {prediction} and {truth} is a folder, the other a file");
+            return Err(Error::usage(problem, "give two files or two folders"));
+        }
+    };
+    let found = [(prediction, predictions.len()), (truth, truths.len())];
+    let (mut pairs, mut only_prediction) = (Vec::new(), Vec::new());
+    for (stem, path) in predictions {
+        match truths.remove(&stem) {
+            Some(true_path) => pairs.push((stem, path, true_path)),
+            None => only_prediction.push(stem),
+        }
+    }
+    if pairs.is_empty() {
+        let [a, b] = found.map(|(folder, count)| format!("{} ({count} found)", folder.display()));
+        let problem = format!("no image in {a} has the name of one in {b}");
+        let help = "images are matched by name without the ending, as in a/view_3.exr and b/view_3.png";
+        return Err(Error::usage(problem, help));
+    }
     let load = |i: usize| {
-        let (name, prediction, truth) = &matched.pairs[i];
+        let (name, prediction, truth) = &pairs[i];
         load_view(name, prediction, truth)
     };
-    let scores = scores::score_views(matched.pairs.len(), scaling, load)?;
-    Ok(Comparison { scores, only_prediction: matched.only_prediction, only_truth: matched.only_truth })
+    let scores = score_views(pairs.len(), scaling, load)?;
+    Ok(Comparison { scores, only_prediction, only_truth: truths.into_keys().collect() })
 }
 
 impl Comparison {
@@ -61,74 +92,20 @@ impl Comparison {
         let mut text = aligned(&rows);
         if scaled {
             let [r, g, b] = self.scores.scale;
-            let _ = writeln!(text, "scale R {r:.4} G {g:.4} B {b:.4}");
+            text += &format!("scale R {r:.4} G {g:.4} B {b:.4}\n");
         }
         if let Some(mean) = &self.scores.srgb {
             let of = |psnr: f64, ssim: f64| format!("{psnr:.2} dB, SSIM {ssim:.4}");
             let (white, black) = (of(mean.psnr_white, mean.ssim_white), of(mean.psnr_black, mean.ssim_black));
-            let _ = writeln!(text, "sRGB: mask {:.2} dB · white {white} · black {black}", mean.psnr_mask);
+            text += &format!("sRGB: mask {:.2} dB · white {white} · black {black}\n", mean.psnr_mask);
         }
         for (what, names) in [("prediction", &self.only_prediction), ("truth", &self.only_truth)] {
             if let Some(first) = names.first() {
-                let _ = writeln!(text, "left out, only in the {what}: {} ({first}, …)", names.len());
+                text += &format!("left out, only in the {what}: {} ({first}, …)\n", names.len());
             }
         }
         text
     }
-}
-
-struct Matched {
-    /// Stem, prediction, truth.
-    pairs: Vec<(String, PathBuf, PathBuf)>,
-    only_prediction: Vec<String>,
-    only_truth: Vec<String>,
-}
-
-fn match_files(prediction: &Path, truth: &Path) -> Result<Matched> {
-    let is_folder = |path: &Path| -> Result<bool> {
-        Ok(std::fs::metadata(path)
-            .map_err(|error| {
-                Error::input(path, "", format!("cannot be opened: {error}"), "give two files or two folders")
-            })?
-            .is_dir())
-    };
-    match (is_folder(prediction)?, is_folder(truth)?) {
-        (false, false) => {
-            let name = prediction.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            let pairs = vec![(name, prediction.to_owned(), truth.to_owned())];
-            Ok(Matched { pairs, only_prediction: Vec::new(), only_truth: Vec::new() })
-        }
-        (true, true) => match_folders(prediction, truth),
-        _ => Err(Error::usage(
-            format!("one of {} and {} is a folder, the other a file", prediction.display(), truth.display()),
-            "give two files or two folders",
-        )),
-    }
-}
-
-fn match_folders(prediction: &Path, truth: &Path) -> Result<Matched> {
-    let (predictions, mut truths) = (images_in(prediction)?, images_in(truth)?);
-    let counts = (predictions.len(), truths.len());
-    let (mut pairs, mut only_prediction) = (Vec::new(), Vec::new());
-    for (stem, path) in predictions {
-        match truths.remove(&stem) {
-            Some(true_path) => pairs.push((stem, path, true_path)),
-            None => only_prediction.push(stem),
-        }
-    }
-    if pairs.is_empty() {
-        return Err(Error::usage(
-            format!(
-                "no image in {} ({} found) has the name of one in {} ({} found)",
-                prediction.display(),
-                counts.0,
-                truth.display(),
-                counts.1
-            ),
-            "images are matched by name without the ending, as in a/view_3.exr and b/view_3.png",
-        ));
-    }
-    Ok(Matched { pairs, only_prediction, only_truth: truths.into_keys().collect() })
 }
 
 /// The images of a folder by stem.
@@ -158,17 +135,23 @@ fn load_view(name: &str, prediction: &Path, truth: &Path) -> Result<EvalView> {
         return Err(Error::input(prediction, "", format!("{sizes}, {other}"), "compare images of one size"));
     }
     let alpha = true_image.alpha.as_ref().or(predicted.alpha.as_ref());
-    let mask = match alpha {
-        Some(coverage) => metrics::erode([width, height], coverage),
-        None => metrics::erode([width, height], &vec![1.0; width * height]),
-    };
+    let coverage = alpha.cloned().unwrap_or_default();
+    let mask =
+        if coverage.is_empty() { vec![true; width * height] } else { erode([width, height], &coverage) };
     if !mask.contains(&true) {
         let problem = "no pixel is left to compare: the alpha channel, eroded by one pixel, is empty";
         return Err(Error::input(truth, "", problem, "the object must cover at least 3 × 3 pixels"));
     }
-    check_finite(prediction, &predicted, &mask)?;
-    check_finite(truth, &true_image, &mask)?;
-    let coverage = alpha.cloned().unwrap_or_default();
+    // NaN and infinite pixels are repaired on reading; inside the mask they are an error here.
+    for (path, loaded) in [(prediction, &predicted), (truth, &true_image)] {
+        let mut repaired = loaded.saturated.iter().zip(&mask);
+        if let Some(at) = repaired.position(|(bad, counts)| loaded.is_float && *bad && *counts) {
+            let place = format!("pixel ({}, {})", at % width, at / width);
+            let help = "write the image again without NaN, infinite or absurd values";
+            let problem = format!("is not a finite number up to {BRIGHTEST}");
+            return Err(Error::input(path, place, problem, help));
+        }
+    }
     Ok(EvalView {
         name: name.to_owned(),
         width,
@@ -183,32 +166,20 @@ fn load_view(name: &str, prediction: &Path, truth: &Path) -> Result<EvalView> {
     })
 }
 
-/// NaN and infinite pixels are repaired on reading; inside the mask they are an error here.
-fn check_finite(path: &Path, loaded: &LoadedImage, mask: &[bool]) -> Result<()> {
-    let bad = loaded.saturated.iter().zip(mask).position(|(&bad, &counts)| loaded.is_float && bad && counts);
-    match bad {
-        Some(at) => {
-            let width = loaded.image.width as usize;
-            let place = format!("pixel ({}, {})", at % width, at / width);
-            let help = "write the image again without NaN, infinite or absurd values";
-            Err(Error::input(path, place, format!("is not a finite number up to {BRIGHTEST}"), help))
-        }
-        None => Ok(()),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::png_file;
-    use crate::codec::test_data::write_exr;
     use image::RgbImage;
+    use lobelia_io::codec::exr::ExrLayers;
+    use lobelia_io::codec::exr_frame::write_channels;
+    use lobelia_io::codec::png_file;
 
     fn exr(path: &Path, size: [usize; 2], value: impl Fn(usize) -> f32, alpha: Option<Vec<f32>>) {
         let values: Vec<f32> = (0..size[0] * size[1]).map(value).collect();
-        let mut channels: Vec<(&str, Vec<f32>)> = ["R", "G", "B"].map(|name| (name, values.clone())).into();
-        channels.extend(alpha.map(|alpha| ("A", alpha)));
-        write_exr(path, size[0], size[1], &channels);
+        let colors = ["R", "G", "B"].map(|name| (name.to_owned(), values.clone()));
+        let channels = colors.into_iter().chain(alpha.map(|alpha| ("A".to_owned(), alpha))).collect();
+        let [width, height] = size.map(|side| side as u32);
+        write_channels(path, &ExrLayers { width, height, channels }).unwrap();
     }
 
     /// Folders `p` and `t`.
@@ -272,35 +243,34 @@ mod tests {
         assert_eq!([srgb.psnr_mask, srgb.psnr_white, srgb.psnr_black], [100.0; 3]);
     }
 
-    fn refused(p: &Path, t: &Path) -> (String, u8) {
+    #[track_caller]
+    fn refused(p: &Path, t: &Path, words: &str) {
         let error = compare(p, t, Scaling::None).unwrap_err();
-        (error.to_string(), error.exit_code())
+        assert!(error.to_string().contains(words) && error.exit_code() == 2, "{error}");
     }
 
     #[test]
     fn bad_input_is_one_clear_error() {
         let (root, p, t) = folders();
-        assert!(refused(&p, &t).0.contains("0 found"));
-        assert!(refused(&root.path().join("none"), &t).0.contains("cannot be opened"));
-        exr(&p.join("a.exr"), [6, 5], |_| 0.6, None);
-        assert!(refused(&p.join("a.exr"), &t).0.contains("is a folder"));
-        exr(&t.join("a.exr"), [5, 6], |_| 0.6, None);
-        let (message, code) = refused(&p, &t);
-        assert!(message.contains("is 6 × 5 pixels") && message.contains("is 5 × 6"), "{message}");
-        assert_eq!(code, 2);
-        exr(&t.join("a.exr"), [6, 5], |i| if i == 8 { f32::NAN } else { 0.5 }, None);
-        assert!(refused(&p, &t).0.contains("pixel (2, 1)"));
-        exr(&t.join("a.exr"), [6, 5], |_| 0.5, Some(vec![0.0; 30]));
-        assert!(refused(&p, &t).0.contains("no pixel is left"));
-        let whole = std::fs::read(t.join("a.exr")).unwrap();
-        std::fs::write(t.join("a.exr"), &whole[..whole.len() / 2]).unwrap();
-        let (message, code) = refused(&p, &t);
-        assert!(message.contains("the EXR is damaged or truncated"), "{message}");
-        assert_eq!(code, 2);
-        std::fs::remove_file(t.join("a.exr")).unwrap();
+        let (a, b) = (p.join("a.exr"), t.join("a.exr"));
+        refused(&p, &t, "(0 found)");
+        refused(&root.path().join("none"), &t, "cannot be opened");
+        exr(&a, [6, 5], |_| 0.6, None);
+        refused(&a, &t, "is a folder");
+        exr(&b, [5, 6], |_| 0.6, None);
+        refused(&p, &t, "is 6 × 5 pixels, but");
+        let pixel = |x, y| if (x, y) == (2, 1) { (f32::NAN, 0.5, 0.5) } else { (0.5, 0.5, 0.5) };
+        exr::prelude::write_rgb_file(&b, 6, 5, pixel).unwrap();
+        refused(&p, &t, "pixel (2, 1)");
+        exr(&b, [6, 5], |_| 0.5, Some(vec![0.0; 30]));
+        refused(&p, &t, "no pixel is left");
+        let whole = std::fs::read(&b).unwrap();
+        std::fs::write(&b, &whole[..whole.len() / 2]).unwrap();
+        refused(&p, &t, "the EXR is damaged or truncated");
+        std::fs::remove_file(&b).unwrap();
         std::fs::write(t.join("a.png"), b"not a PNG").unwrap();
-        assert!(refused(&p, &t).0.contains("neither PNG, JPEG, TIFF"));
+        refused(&p, &t, "neither PNG, JPEG, TIFF");
         std::fs::write(root.path().join("x.txt"), b"").unwrap();
-        assert!(refused(&p.join("a.exr"), &root.path().join("x.txt")).0.contains("is empty"));
+        refused(&a, &root.path().join("x.txt"), "is empty");
     }
 }

@@ -1,110 +1,30 @@
-//! Contact sheets: rows of labeled pictures under headings, as one PNG.
+//! Contact sheets: rows of labeled pictures under headings, as one PNG; and the text on them.
+//!
+//! Text is of a built-in 5×7 bitmap font. Each glyph is enlarged eightfold by the Scale2x rule (A.
+//! Mazzoleni, 2001), applied three times, which rounds its corners, and then averaged down to the
+//! requested size, so that letters have smooth edges.
 
-use crate::codec::png_file;
-use crate::report::{font, heat};
-use crate::{Error, Result};
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};
+use lobelia_geometry::{Error, Result};
+use lobelia_io::codec::png_file;
 use std::path::Path;
 
-/// A picture with its caption.
-#[derive(Clone, Debug)]
-pub struct SheetCell {
-    /// Caption below the picture; may be empty.
-    pub label: String,
-    /// The picture, sRGB.
-    pub image: RgbImage,
-}
-
-/// Pictures side by side.
-#[derive(Clone, Debug, Default)]
-pub struct SheetRow {
-    /// Heading of the row (a pass and its scores); empty for a row that continues the one above.
+/// Pictures side by side under a heading.
+pub(crate) struct SheetRow {
+    /// A pass and its scores.
     pub heading: String,
-    /// From left to right.
-    pub cells: Vec<SheetCell>,
+    /// Captions and pictures (sRGB), from left to right.
+    pub cells: Vec<(String, RgbImage)>,
 }
 
-/// Colors of a sheet.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Theme {
-    /// Light neutral gray.
-    #[default]
-    Light,
-    /// Dark neutral gray.
-    Dark,
-}
-
-impl Theme {
-    /// Background, sRGB; also a suitable backdrop for pictures of the object.
-    pub fn background(self) -> [u8; 3] {
-        match self {
-            Self::Light => [244, 244, 242],
-            Self::Dark => [38, 38, 40],
-        }
-    }
-
-    /// Background of a cell, sRGB: slightly different from the page, so that cells are visible.
-    pub fn mat(self) -> [u8; 3] {
-        match self {
-            Self::Light => [228, 228, 225],
-            Self::Dark => [54, 54, 57],
-        }
-    }
-
-    fn ink(self) -> [u8; 3] {
-        match self {
-            Self::Light => [32, 32, 34],
-            Self::Dark => [238, 238, 236],
-        }
-    }
-
-    fn faint_ink(self) -> [u8; 3] {
-        match self {
-            Self::Light => [104, 104, 106],
-            Self::Dark => [166, 166, 164],
-        }
-    }
-
-    fn rule(self) -> [u8; 3] {
-        match self {
-            Self::Light => [206, 206, 203],
-            Self::Dark => [78, 78, 82],
-        }
-    }
-}
-
-/// A contact sheet.
-#[derive(Clone, Debug)]
-pub struct Sheet {
-    /// Large line at the top; may be empty.
-    pub title: String,
-    /// Small line under it; may be empty.
-    pub subtitle: String,
-    /// From top to bottom.
-    pub rows: Vec<SheetRow>,
-    /// Colors.
-    pub theme: Theme,
-    /// Width in pixels of every picture; the aspect ratio is kept.
-    pub cell_width: u32,
-    /// The factor of the error maps, if the sheet has any; the color scale is then drawn at the bottom.
-    pub heat_factor: Option<f32>,
-}
-
-impl Default for Sheet {
-    fn default() -> Self {
-        Self {
-            title: String::new(),
-            subtitle: String::new(),
-            rows: Vec::new(),
-            theme: Theme::Light,
-            cell_width: 256,
-            heat_factor: None,
-        }
-    }
-}
-
+/// Light neutral grays, sRGB: of the page, of text, of captions and of lines.
+const BACKGROUND: [u8; 3] = [244, 244, 242];
+const INK: [u8; 3] = [32, 32, 34];
+const FAINT_INK: [u8; 3] = [104, 104, 106];
+const RULE: [u8; 3] = [206, 206, 203];
+/// Width of every picture in pixels.
+const CELL: u32 = 256;
 /// Space around everything, between pictures, and between lines, in pixels.
 const MARGIN: u32 = 28;
 const GUTTER: u32 = 14;
@@ -113,6 +33,8 @@ const GAP: u32 = 8;
 const TITLE: f32 = 3.5;
 const HEADING: f32 = 2.25;
 const LABEL: f32 = 1.75;
+/// Most pixels by which titles and headings widen a narrow sheet.
+const MOST_TEXT: u32 = 1600;
 /// Largest width and height of the sheet in pixels.
 const MOST_SIDE: u32 = 32_000;
 
@@ -126,186 +48,223 @@ pub(crate) fn choose_evenly(count: usize, most: usize) -> Vec<usize> {
     }
 }
 
-/// Composes `sheet` and writes it as a PNG.
+/// Writes a sheet under a large title and a small line as a PNG.
 ///
 /// # Errors
-/// Those of [`compose`]; [`Error::Io`] if the file cannot be written.
-pub fn write_sheet(path: impl AsRef<Path>, sheet: &Sheet) -> Result<()> {
-    png_file::write_rgb8(path, &compose(sheet)?)
+/// [`Error::Run`] if the sheet would be over 32 000 pixels wide or high; [`Error::Io`] if the file cannot be written.
+pub(crate) fn write_sheet(path: &Path, title: &str, subtitle: &str, rows: &[SheetRow]) -> Result<()> {
+    png_file::write_rgb8(path, &compose(title, subtitle, rows)?)
 }
 
-/// The sheet as a picture.
-///
-/// # Errors
-/// [`Error::Run`] if there is no cell, a picture is empty, `cell_width` is below 16, or the sheet would be over 32 000 pixels wide or high.
-pub fn compose(sheet: &Sheet) -> Result<RgbImage> {
-    let layout = Layout::new(sheet)?;
-    let mut page = RgbImage::from_pixel(layout.width, layout.height, Rgb(sheet.theme.background()));
-    let mut top = draw_head(&mut page, sheet);
-    for (row, height) in sheet.rows.iter().zip(&layout.row_heights) {
-        draw_row(&mut page, sheet, row, top);
-        top += height;
+fn compose(title: &str, subtitle: &str, rows: &[SheetRow]) -> Result<RgbImage> {
+    let headings = rows.iter().map(|row| text_width(&row.heading, HEADING)).max().unwrap_or(0);
+    let text = headings.max(text_width(title, TITLE)).max(text_width(subtitle, LABEL)).min(MOST_TEXT);
+    let cells = rows.iter().map(|row| row.cells.len()).max().unwrap_or(0) as u32;
+    let width = 2 * MARGIN + (cells * (CELL + GUTTER)).saturating_sub(GUTTER).max(text);
+    let pictures =
+        |row: &SheetRow| row.cells.iter().map(|(_, picture)| shown_height(picture)).max().unwrap_or(0);
+    // Above and below the pictures of a row.
+    let (above, below) = (3 * GAP + 1 + line_height(HEADING), GAP + line_height(LABEL) + GUTTER);
+    let head = MARGIN + line_height(TITLE) + GAP + line_height(LABEL) + GAP;
+    let height = head + rows.iter().map(|row| above + pictures(row) + below).sum::<u32>() + MARGIN;
+    if width.max(height) > MOST_SIDE {
+        return Err(Error::run("drawing a contact sheet", "it would be too large: show fewer passes"));
     }
-    if let Some(factor) = sheet.heat_factor {
-        draw_scale(&mut page, sheet.theme, factor, top);
+    let mut page = RgbImage::from_pixel(width, height, Rgb(BACKGROUND));
+    let room = width - 2 * MARGIN;
+    let draw = |page: &mut RgbImage, at: [u32; 2], size: f32, color: [u8; 3], text: &str, room: u32| {
+        draw_text(page, at, size, color, &fitted(text, size, room));
+    };
+    draw(&mut page, [MARGIN, MARGIN], TITLE, INK, title, room);
+    draw(&mut page, [MARGIN, MARGIN + line_height(TITLE) + GAP], LABEL, FAINT_INK, subtitle, room);
+    let mut top = head;
+    for row in rows {
+        (MARGIN..width - MARGIN).for_each(|x| page.put_pixel(x, top + GAP, Rgb(RULE)));
+        draw(&mut page, [MARGIN, top + 2 * GAP + 1], HEADING, INK, &row.heading, room);
+        let label_top = top + above + pictures(row) + GAP;
+        for (left, (label, picture)) in (MARGIN..).step_by((CELL + GUTTER) as usize).zip(&row.cells) {
+            // Enlarged by an integer factor if that fits exactly, else resampled smoothly.
+            let height = shown_height(picture);
+            let exact = CELL.is_multiple_of(picture.width()) && height.is_multiple_of(picture.height());
+            let filter = if exact { FilterType::Nearest } else { FilterType::CatmullRom };
+            let picture = imageops::resize(picture, CELL, height, filter);
+            imageops::replace(&mut page, &picture, i64::from(left), i64::from(top + above));
+            draw(&mut page, [left, label_top], LABEL, FAINT_INK, label, CELL);
+        }
+        top = label_top - GAP + below;
     }
     Ok(page)
 }
 
-struct Layout {
-    width: u32,
-    height: u32,
-    row_heights: Vec<u32>,
+/// The height of a picture of the width of a cell.
+fn shown_height(picture: &RgbImage) -> u32 {
+    let (w, h) = (u64::from(picture.width()), u64::from(picture.height()));
+    ((u64::from(CELL) * h + w / 2) / w).clamp(1, u64::from(MOST_SIDE)) as u32
 }
 
-impl Layout {
-    fn new(sheet: &Sheet) -> Result<Self> {
-        let refuse = |problem: &str| Err(Error::run("drawing a contact sheet", problem));
-        let most_cells = sheet.rows.iter().map(|row| row.cells.len()).max().unwrap_or(0) as u64;
-        if most_cells == 0 {
-            return refuse("there is nothing to show");
+/// Rows of a glyph: seven, and one for descenders.
+const ROWS: usize = 8;
+
+/// Enlargement before averaging down.
+const FINE: usize = 8;
+
+/// Glyphs from the space to the tilde, four a line, five columns each from left to right; bit 0 is
+/// the top row, bit 7 the descender's.
+#[rustfmt::skip]
+const GLYPHS: [[u8; 5]; 95] = [
+    [0x00, 0x00, 0x00, 0x00, 0x00], [0x00, 0x00, 0x5F, 0x00, 0x00], [0x00, 0x07, 0x00, 0x07, 0x00], [0x14, 0x7F, 0x14, 0x7F, 0x14],
+    [0x24, 0x2A, 0x7F, 0x2A, 0x12], [0x23, 0x13, 0x08, 0x64, 0x62], [0x36, 0x49, 0x56, 0x20, 0x50], [0x00, 0x00, 0x07, 0x00, 0x00],
+    [0x00, 0x1C, 0x22, 0x41, 0x00], [0x00, 0x41, 0x22, 0x1C, 0x00], [0x14, 0x08, 0x3E, 0x08, 0x14], [0x08, 0x08, 0x3E, 0x08, 0x08],
+    [0x00, 0x80, 0x60, 0x00, 0x00], [0x00, 0x08, 0x08, 0x08, 0x08], [0x00, 0x60, 0x60, 0x00, 0x00], [0x20, 0x10, 0x08, 0x04, 0x02],
+    [0x3E, 0x51, 0x49, 0x45, 0x3E], [0x00, 0x42, 0x7F, 0x40, 0x00], [0x42, 0x61, 0x51, 0x49, 0x46], [0x21, 0x41, 0x45, 0x4B, 0x31],
+    [0x18, 0x14, 0x12, 0x7F, 0x10], [0x27, 0x45, 0x45, 0x45, 0x39], [0x3C, 0x4A, 0x49, 0x49, 0x30], [0x01, 0x71, 0x09, 0x05, 0x03],
+    [0x36, 0x49, 0x49, 0x49, 0x36], [0x06, 0x49, 0x49, 0x29, 0x1E], [0x00, 0x36, 0x36, 0x00, 0x00], [0x00, 0x80, 0x66, 0x00, 0x00],
+    [0x08, 0x14, 0x22, 0x41, 0x00], [0x14, 0x14, 0x14, 0x14, 0x14], [0x00, 0x41, 0x22, 0x14, 0x08], [0x02, 0x01, 0x51, 0x09, 0x06],
+    [0x3E, 0x41, 0x5D, 0x55, 0x5E], [0x7E, 0x11, 0x11, 0x11, 0x7E], [0x7F, 0x49, 0x49, 0x49, 0x36], [0x3E, 0x41, 0x41, 0x41, 0x22],
+    [0x7F, 0x41, 0x41, 0x22, 0x1C], [0x7F, 0x49, 0x49, 0x49, 0x41], [0x7F, 0x09, 0x09, 0x09, 0x01], [0x3E, 0x41, 0x49, 0x49, 0x7A],
+    [0x7F, 0x08, 0x08, 0x08, 0x7F], [0x00, 0x41, 0x7F, 0x41, 0x00], [0x20, 0x40, 0x41, 0x3F, 0x01], [0x7F, 0x08, 0x14, 0x22, 0x41],
+    [0x7F, 0x40, 0x40, 0x40, 0x40], [0x7F, 0x02, 0x0C, 0x02, 0x7F], [0x7F, 0x04, 0x08, 0x10, 0x7F], [0x3E, 0x41, 0x41, 0x41, 0x3E],
+    [0x7F, 0x09, 0x09, 0x09, 0x06], [0x3E, 0x41, 0x51, 0x21, 0x5E], [0x7F, 0x09, 0x19, 0x29, 0x46], [0x46, 0x49, 0x49, 0x49, 0x31],
+    [0x01, 0x01, 0x7F, 0x01, 0x01], [0x3F, 0x40, 0x40, 0x40, 0x3F], [0x1F, 0x20, 0x40, 0x20, 0x1F], [0x3F, 0x40, 0x38, 0x40, 0x3F],
+    [0x63, 0x14, 0x08, 0x14, 0x63], [0x07, 0x08, 0x70, 0x08, 0x07], [0x61, 0x51, 0x49, 0x45, 0x43], [0x00, 0x7F, 0x41, 0x41, 0x00],
+    [0x02, 0x04, 0x08, 0x10, 0x20], [0x00, 0x41, 0x41, 0x7F, 0x00], [0x04, 0x02, 0x01, 0x02, 0x04], [0x80, 0x80, 0x80, 0x80, 0x80],
+    [0x00, 0x01, 0x02, 0x04, 0x00], [0x20, 0x54, 0x54, 0x54, 0x78], [0x7F, 0x48, 0x44, 0x44, 0x38], [0x38, 0x44, 0x44, 0x44, 0x28],
+    [0x38, 0x44, 0x44, 0x48, 0x7F], [0x38, 0x54, 0x54, 0x54, 0x18], [0x00, 0x08, 0x7E, 0x09, 0x02], [0x18, 0xA4, 0xA4, 0xA4, 0x7C],
+    [0x7F, 0x08, 0x04, 0x04, 0x78], [0x00, 0x44, 0x7D, 0x40, 0x00], [0x00, 0x80, 0x84, 0x7D, 0x00], [0x00, 0x7F, 0x10, 0x28, 0x44],
+    [0x00, 0x41, 0x7F, 0x40, 0x00], [0x7C, 0x04, 0x78, 0x04, 0x78], [0x7C, 0x08, 0x04, 0x04, 0x78], [0x38, 0x44, 0x44, 0x44, 0x38],
+    [0xFC, 0x24, 0x24, 0x24, 0x18], [0x18, 0x24, 0x24, 0x24, 0xFC], [0x7C, 0x08, 0x04, 0x04, 0x08], [0x48, 0x54, 0x54, 0x54, 0x24],
+    [0x00, 0x04, 0x3F, 0x44, 0x40], [0x3C, 0x40, 0x40, 0x20, 0x7C], [0x1C, 0x20, 0x40, 0x20, 0x1C], [0x3C, 0x40, 0x30, 0x40, 0x3C],
+    [0x44, 0x28, 0x10, 0x28, 0x44], [0x1C, 0xA0, 0xA0, 0xA0, 0x7C], [0x44, 0x64, 0x54, 0x4C, 0x44], [0x00, 0x08, 0x36, 0x41, 0x00],
+    [0x00, 0x00, 0x7F, 0x00, 0x00], [0x00, 0x41, 0x36, 0x08, 0x00], [0x10, 0x08, 0x18, 0x10, 0x08],
+];
+
+/// The glyph for characters that the font does not have: an empty box.
+const UNKNOWN: [u8; 5] = [0x7F, 0x41, 0x41, 0x41, 0x7F];
+
+fn columns(character: char) -> [u8; 5] {
+    match character {
+        '×' => [0x22, 0x14, 0x08, 0x14, 0x22],
+        '°' => [0x00, 0x06, 0x09, 0x09, 0x06],
+        '·' => [0x00, 0x18, 0x18, 0x00, 0x00],
+        '–' | '—' | '−' => columns('-'),
+        'Δ' => [0x70, 0x4C, 0x43, 0x4C, 0x70],
+        '±' => [0x44, 0x44, 0x5F, 0x44, 0x44],
+        '’' => columns('\''),
+        _ => *GLYPHS.get((character as usize).wrapping_sub(usize::from(b' '))).unwrap_or(&UNKNOWN),
+    }
+}
+
+/// The columns of a character: blank edges are removed, but digits keep their full width so that numbers align.
+fn inked(character: char) -> Vec<u8> {
+    let all = columns(character);
+    let first = all.iter().position(|&c| c != 0);
+    match first.zip(all.iter().rposition(|&c| c != 0)) {
+        None => vec![0; 3],
+        Some(_) if character.is_ascii_digit() => all.to_vec(),
+        Some((first, last)) => all[first..=last].to_vec(),
+    }
+}
+
+/// Height of a line of text in pixels at `size` pixels per font dot, descenders included.
+pub fn line_height(size: f32) -> u32 {
+    (ROWS as f32 * size).ceil() as u32
+}
+
+/// Width in pixels of `text` on one line at `size` pixels per font dot.
+pub fn text_width(text: &str, size: f32) -> u32 {
+    let dots: usize = text.chars().map(|c| inked(c).len() + 1).sum();
+    (dots.saturating_sub(1) as f32 * size).ceil() as u32
+}
+
+/// `text`, shortened with "..." if it would be wider than `width` pixels.
+fn fitted(text: &str, size: f32, width: u32) -> String {
+    if text_width(text, size) <= width {
+        return text.to_owned();
+    }
+    let ends = text.char_indices().rev().map(|(end, _)| end);
+    let mut shorter = ends.map(|end| text[..end].trim_end().to_owned() + "...");
+    shorter.find(|text| text_width(text, size) <= width).unwrap_or_default()
+}
+
+/// Draws `text` with its top left corner at (`left`, `top`), `size` pixels per font dot, in sRGB
+/// `color`. Parts outside the picture are clipped.
+pub fn draw_text(picture: &mut RgbImage, [left, top]: [u32; 2], size: f32, color: [u8; 3], text: &str) {
+    let mut column = 0usize;
+    for character in text.chars() {
+        let columns = inked(character);
+        let glyph = Glyph::new(&columns);
+        let (start, end) = (column as f32 * size, (column + columns.len()) as f32 * size);
+        for y in 0..line_height(size) {
+            for x in start.floor() as u32..end.ceil() as u32 {
+                let coverage = glyph.coverage((x as f32 - start) / size, y as f32 / size, 1.0 / size);
+                blend(picture, left + x, top + y, color, coverage);
+            }
         }
-        if sheet.cell_width < 16 {
-            return refuse("cells must be at least 16 pixels wide");
+        column += columns.len() + 1;
+    }
+}
+
+fn blend(picture: &mut RgbImage, x: u32, y: u32, color: [u8; 3], coverage: f32) {
+    if coverage <= 0.0 || x >= picture.width() || y >= picture.height() {
+        return;
+    }
+    for (under, ink) in picture.get_pixel_mut(x, y).0.iter_mut().zip(color) {
+        *under = (f32::from(*under) + (f32::from(ink) - f32::from(*under)) * coverage).round() as u8;
+    }
+}
+
+/// An enlarged and rounded glyph.
+struct Glyph {
+    width: usize,
+    height: usize,
+    ink: Vec<bool>,
+}
+
+impl Glyph {
+    fn new(columns: &[u8]) -> Self {
+        let mut glyph = Self {
+            width: columns.len(),
+            height: ROWS,
+            ink: (0..ROWS).flat_map(|row| columns.iter().map(move |c| c >> row & 1 == 1)).collect(),
+        };
+        while glyph.height < ROWS * FINE {
+            glyph = glyph.doubled();
         }
-        let empty = |cell: &SheetCell| cell.image.width() == 0 || cell.image.height() == 0;
-        if sheet.rows.iter().any(|row| row.cells.iter().any(empty)) {
-            return refuse("a picture has no pixels");
-        }
-        let pictures = most_cells * u64::from(sheet.cell_width) + (most_cells - 1) * u64::from(GUTTER);
-        let width = 2 * u64::from(MARGIN) + pictures.max(u64::from(text_room(sheet)));
-        let row_heights: Vec<u32> = sheet.rows.iter().map(|row| row_height(sheet, row)).collect();
-        let rows: u64 = row_heights.iter().map(|&height| u64::from(height)).sum();
-        let foot = if sheet.heat_factor.is_some() { scale_height() } else { 0 };
-        let height = u64::from(head_height(sheet)) + rows + u64::from(foot + MARGIN);
-        if width.max(height) > u64::from(MOST_SIDE) {
-            return refuse("it would be too large; show fewer views or smaller cells");
-        }
-        Ok(Self { width: width as u32, height: height as u32, row_heights })
+        glyph
     }
-}
 
-/// Width of titles and headings; a narrow sheet is widened for them, up to a limit.
-fn text_room(sheet: &Sheet) -> u32 {
-    let headings = sheet.rows.iter().map(|row| font::text_width(&row.heading, HEADING)).max().unwrap_or(0);
-    let head = font::text_width(&sheet.title, TITLE).max(font::text_width(&sheet.subtitle, LABEL));
-    headings.max(head).min(1600)
-}
-
-fn head_height(sheet: &Sheet) -> u32 {
-    let mut height = MARGIN;
-    if !sheet.title.is_empty() {
-        height += font::line_height(TITLE) + GAP;
+    fn at(&self, x: isize, y: isize) -> bool {
+        let inside = (0..self.width as isize).contains(&x) && (0..self.height as isize).contains(&y);
+        inside && self.ink[y as usize * self.width + x as usize]
     }
-    if !sheet.subtitle.is_empty() {
-        height += font::line_height(LABEL) + GAP;
+
+    /// Twice the size by Scale2x: a corner gets the color of its two outer neighbors if they are equal.
+    fn doubled(&self) -> Self {
+        let (width, height) = (2 * self.width, 2 * self.height);
+        let dot = |i: usize| {
+            let (x, y) = ((i % width / 2) as isize, (i / width / 2) as isize);
+            let (dx, dy) = ((i % width % 2) as isize * 2 - 1, (i / width % 2) as isize * 2 - 1);
+            let (side, other_side) = (self.at(x + dx, y), self.at(x - dx, y));
+            let (end, other_end) = (self.at(x, y + dy), self.at(x, y - dy));
+            if side == end && side != other_end && end != other_side { side } else { self.at(x, y) }
+        };
+        Self { width, height, ink: (0..width * height).map(dot).collect() }
     }
-    height
-}
 
-fn draw_head(page: &mut RgbImage, sheet: &Sheet) -> u32 {
-    let room = page.width() - 2 * MARGIN;
-    let mut top = MARGIN;
-    if !sheet.title.is_empty() {
-        let text = font::fitted(&sheet.title, TITLE, room);
-        font::draw_text(page, [MARGIN, top], TITLE, sheet.theme.ink(), &text);
-        top += font::line_height(TITLE) + GAP;
-    }
-    if !sheet.subtitle.is_empty() {
-        let text = font::fitted(&sheet.subtitle, LABEL, room);
-        font::draw_text(page, [MARGIN, top], LABEL, sheet.theme.faint_ink(), &text);
-    }
-    head_height(sheet)
-}
-
-fn heading_height(row: &SheetRow) -> u32 {
-    if row.heading.is_empty() { 0 } else { 2 * GAP + 1 + font::line_height(HEADING) + GAP }
-}
-
-fn label_height(row: &SheetRow) -> u32 {
-    let labeled = row.cells.iter().any(|cell| !cell.label.is_empty());
-    if labeled { GAP + font::line_height(LABEL) } else { 0 }
-}
-
-fn cell_height(cell: &SheetCell, width: u32) -> u32 {
-    let (w, h) = (u64::from(cell.image.width()), u64::from(cell.image.height()));
-    ((u64::from(width) * h + w / 2) / w).clamp(1, u64::from(MOST_SIDE)) as u32
-}
-
-fn picture_height(sheet: &Sheet, row: &SheetRow) -> u32 {
-    row.cells.iter().map(|cell| cell_height(cell, sheet.cell_width)).max().unwrap_or(0)
-}
-
-fn row_height(sheet: &Sheet, row: &SheetRow) -> u32 {
-    heading_height(row) + picture_height(sheet, row) + label_height(row) + GUTTER
-}
-
-fn draw_row(page: &mut RgbImage, sheet: &Sheet, row: &SheetRow, top: u32) {
-    if !row.heading.is_empty() {
-        fill(page, [MARGIN, top + GAP, page.width() - 2 * MARGIN, 1], sheet.theme.rule());
-        let text = font::fitted(&row.heading, HEADING, page.width() - 2 * MARGIN);
-        font::draw_text(page, [MARGIN, top + 2 * GAP + 1], HEADING, sheet.theme.ink(), &text);
-    }
-    let top = top + heading_height(row);
-    let label_top = top + picture_height(sheet, row) + GAP;
-    for (i, cell) in row.cells.iter().enumerate() {
-        let left = MARGIN + i as u32 * (sheet.cell_width + GUTTER);
-        let picture = resized(&cell.image, sheet.cell_width, cell_height(cell, sheet.cell_width));
-        imageops::replace(page, &picture, i64::from(left), i64::from(top));
-        let text = font::fitted(&cell.label, LABEL, sheet.cell_width);
-        font::draw_text(page, [left, label_top], LABEL, sheet.theme.faint_ink(), &text);
-    }
-}
-
-/// Enlarged by an integer factor if that fits exactly, else resampled smoothly.
-fn resized(picture: &RgbImage, width: u32, height: u32) -> RgbImage {
-    let exact = width.is_multiple_of(picture.width()) && height.is_multiple_of(picture.height());
-    let filter = if exact { FilterType::Nearest } else { FilterType::CatmullRom };
-    imageops::resize(picture, width, height, filter)
-}
-
-const SCALE_WIDTH: u32 = 220;
-const SCALE_BAR: u32 = 12;
-
-fn scale_height() -> u32 {
-    GAP + SCALE_BAR + GAP + font::line_height(LABEL)
-}
-
-/// The color scale of the error maps: a bar from 0 to 1 / factor.
-fn draw_scale(page: &mut RgbImage, theme: Theme, factor: f32, top: u32) {
-    let top = top + GAP;
-    let width = SCALE_WIDTH.min(page.width() - 2 * MARGIN);
-    for x in 0..width {
-        fill(page, [MARGIN + x, top, 1, SCALE_BAR], heat::heat_color(x as f32 / (width - 1) as f32));
-    }
-    let text_top = top + SCALE_BAR + GAP;
-    let end = format!("{}", (1000.0 / factor).round() / 1000.0);
-    let end_left = MARGIN + width.saturating_sub(font::text_width(&end, LABEL));
-    font::draw_text(page, [MARGIN, text_top], LABEL, theme.faint_ink(), "0");
-    font::draw_text(page, [end_left, text_top], LABEL, theme.faint_ink(), &end);
-    let caption = format!("error (mean of |R|, |G|, |B| differences, linear), amplified ×{factor}");
-    let caption_left = MARGIN + width + GUTTER;
-    let room = (page.width() - MARGIN).saturating_sub(caption_left);
-    let caption = font::fitted(&caption, LABEL, room);
-    font::draw_text(page, [caption_left, top], LABEL, theme.faint_ink(), &caption);
-}
-
-/// Fills the rectangle `[left, top, width, height]`, clipped to the page.
-fn fill(page: &mut RgbImage, [left, top, width, height]: [u32; 4], color: [u8; 3]) {
-    for y in top..(top + height).min(page.height()) {
-        for x in left..(left + width).min(page.width()) {
-            page.put_pixel(x, y, Rgb(color));
-        }
+    /// Coverage of the square of side `step` font dots whose corner is (`x`, `y`) dots from the corner of the glyph.
+    fn coverage(&self, x: f32, y: f32, step: f32) -> f32 {
+        const TAPS: usize = 8;
+        let tap = |from: f32, i: usize| {
+            ((from + step * (i as f32 + 0.5) / TAPS as f32) * FINE as f32).floor() as isize
+        };
+        let hits = (0..TAPS * TAPS).filter(|i| self.at(tap(x, i % TAPS), tap(y, i / TAPS))).count();
+        hits as f32 / (TAPS * TAPS) as f32
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn cell(label: &str, size: [u32; 2], color: [u8; 3]) -> SheetCell {
-        SheetCell { label: label.to_owned(), image: RgbImage::from_pixel(size[0], size[1], Rgb(color)) }
-    }
 
     #[test]
     fn views_are_chosen_evenly() {
@@ -321,51 +280,49 @@ mod tests {
     }
 
     #[test]
-    fn pictures_stand_where_the_layout_says() {
-        let mut sheet = Sheet { cell_width: 40, theme: Theme::Dark, ..Sheet::default() };
-        sheet.rows.push(SheetRow {
-            heading: String::new(),
-            cells: vec![cell("", [20, 10], [200, 0, 0]), cell("", [40, 80], [0, 200, 0])],
-        });
-        let page = compose(&sheet).unwrap();
-        assert_eq!(page.dimensions(), (2 * MARGIN + 2 * 40 + GUTTER, 2 * MARGIN + 80 + GUTTER));
-        assert_eq!(page.get_pixel(MARGIN + 39, MARGIN + 19).0, [200, 0, 0], "shape kept: 40 × 20");
-        assert_eq!(page.get_pixel(MARGIN + 39, MARGIN + 20).0, Theme::Dark.background());
-        assert_eq!(page.get_pixel(MARGIN + 40 + GUTTER, MARGIN + 79).0, [0, 200, 0]);
+    fn pictures_and_texts_stand_where_the_layout_says() {
+        let picture = |w, h, color| ("truth".to_owned(), RgbImage::from_pixel(w, h, Rgb(color)));
+        let row = |cells| SheetRow { heading: "novel · 41.6 dB".into(), cells };
+        let rows = [row(vec![picture(64, 32, [200, 0, 0]), picture(128, 256, [0, 200, 0])])];
+        let page = compose("sphere", "two pictures", &rows).unwrap();
+        let top = page.height() - MARGIN - GUTTER - line_height(LABEL) - GAP - 512;
+        assert_eq!(page.width(), 2 * MARGIN + 2 * CELL + GUTTER);
+        assert_eq!(page.get_pixel(MARGIN + CELL - 1, top + 127).0, [200, 0, 0], "shape kept: 256 × 128");
+        assert_eq!(page.get_pixel(MARGIN + CELL - 1, top + 128).0, BACKGROUND);
+        assert_eq!(page.get_pixel(MARGIN + CELL + GUTTER, top + 511).0, [0, 200, 0]);
+        let dark = |page: &RgbImage| page.pixels().filter(|p| p.0 == INK).count();
+        assert!(dark(&page) > dark(&compose("", "two pictures", &rows).unwrap()) + 50);
+        assert!(compose("", "", &[row(vec![picture(1, 4000, [0; 3])])]).is_err(), "it would be too high");
     }
 
     #[test]
-    fn text_and_scale_are_drawn() {
-        let rows = vec![SheetRow {
-            heading: "novel · 41.6 dB".into(),
-            cells: vec![cell("truth", [64, 64], [90; 3])],
-        }];
-        let plain = Sheet { rows: rows.clone(), cell_width: 64, ..Sheet::default() };
-        let full = Sheet {
-            title: "sphere".into(),
-            subtitle: "two lines".into(),
-            heat_factor: Some(8.0),
-            ..plain.clone()
-        };
-        let (plain, full) = (compose(&plain).unwrap(), compose(&full).unwrap());
-        assert!(full.height() > plain.height());
-        let dark = |page: &RgbImage| page.pixels().filter(|p| p.0 == Theme::Light.ink()).count();
-        assert!(dark(&plain) > 50 && dark(&full) > dark(&plain));
-        let hottest = Rgb(heat::heat_color(1.0));
-        assert!(full.pixels().any(|&p| p == hottest) && !plain.pixels().any(|&p| p == hottest));
+    fn every_character_but_space_has_ink_and_no_two_look_alike() {
+        for (i, glyph) in GLYPHS.iter().enumerate().skip(1) {
+            assert!(![[0; 5], UNKNOWN].contains(glyph) && !GLYPHS[..i].contains(glyph), "{i}");
+        }
+        assert_eq!((columns(' '), columns('~')), (GLYPHS[0], GLYPHS[94]));
+        assert_eq!(columns('☃'), UNKNOWN);
     }
 
     #[test]
-    fn impossible_sheets_are_refused() {
-        assert!(compose(&Sheet::default()).is_err());
-        let with = |cells: Vec<SheetCell>, cell_width| Sheet {
-            rows: vec![SheetRow { heading: String::new(), cells }],
-            cell_width,
-            ..Sheet::default()
-        };
-        assert!(compose(&with(vec![cell("", [0, 4], [0; 3])], 64)).is_err());
-        assert!(compose(&with(vec![cell("", [4, 4], [0; 3])], 0)).is_err());
-        assert!(compose(&with(vec![cell("", [1, 4000], [0; 3])], 64)).is_err());
-        assert!(compose(&with(vec![cell("", [4, 4], [0; 3])], u32::MAX)).is_err());
+    fn widths_add_up_and_long_texts_are_cut() {
+        assert_eq!(text_width("", 2.0), 0);
+        assert_eq!(text_width("00", 2.0), 22);
+        assert_eq!(text_width("11", 1.0), text_width("88", 1.0));
+        let cut = fitted("a very long name indeed", 2.0, 120);
+        assert!(cut.ends_with("...") && text_width(&cut, 2.0) <= 120, "{cut}");
+        assert_eq!(fitted("short", 2.0, 120), "short");
+        assert_eq!(fitted("W", 2.0, 1), "");
+    }
+
+    #[test]
+    fn an_l_is_drawn_where_it_should_be() {
+        let mut picture = RgbImage::new(20, 20);
+        draw_text(&mut picture, [2, 3], 2.0, [255; 3], "L");
+        assert_eq!(picture.get_pixel(3, 6).0, [255; 3], "stem");
+        assert_eq!(picture.get_pixel(9, 16).0, [255; 3], "foot");
+        assert_eq!(picture.get_pixel(8, 6).0, [0; 3], "right of the stem");
+        // Outside the picture: nothing happens.
+        draw_text(&mut picture, [18, 15], 3.0, [255; 3], "off");
     }
 }

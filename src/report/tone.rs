@@ -1,11 +1,17 @@
-//! Conversion of linear radiance to a picture: exposure, tone curve, backdrop, 8-bit sRGB.
+//! Linear radiance as pictures: exposure, tone curve, backdrop, 8-bit sRGB; heat maps of errors of
+//! radiance; and small JPEGs for pages, of a size that keeps a page within its budget.
 
-use crate::codec::exr_frame::Frame;
-use crate::codec::png_file::{self, PngRows};
-use crate::math::color::srgb_from_linear;
-use crate::{Error, Result};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use glam::{Mat3, Vec3};
-use image::{RgbImage, RgbaImage};
+use image::imageops::thumbnail;
+use image::{GrayImage, Rgb, RgbImage};
+use lobelia_geometry::view::Frame;
+use lobelia_geometry::{Error, Result};
+use lobelia_io::codec::file::write_bytes;
+use lobelia_io::codec::image::encode_jpeg;
+use lobelia_io::codec::png_file::{self, PngRows};
+use lobelia_sg::color::{linear_from_srgb, srgb_from_linear};
 use png::ColorType;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -14,7 +20,6 @@ use std::sync::LazyLock;
 
 /// Tone mapping of linear radiance to the range of a display.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[non_exhaustive]
 pub enum Tone {
     /// Clipped at 1: values in range are shown exactly.
     #[default]
@@ -94,17 +99,18 @@ impl Look {
 }
 
 /// The background outside the object.
-#[derive(Clone, Copy, Debug, Default)]
-#[non_exhaustive]
+#[derive(Clone, Copy, Debug)]
 pub enum Backdrop<'a> {
     /// None: straight alpha.
-    #[default]
     Transparent,
     /// One display-referred linear color in `[0, 1]`, without exposure and tone curve.
     Solid(Vec3),
     /// The radiance behind each pixel (the environment), with the exposure and tone curve of the object.
     Radiance(&'a [Vec3]),
 }
+
+/// The light gray that pictures of the object lie on in contact sheets and pages, sRGB.
+pub(crate) const MAT: [u8; 3] = [228, 228, 225];
 
 /// A linear image to be tone mapped: coverage-weighted color on black, and coverage in `[0, 1]`.
 #[derive(Clone, Copy, Debug)]
@@ -125,67 +131,11 @@ impl<'a> Picture<'a> {
         Self { width: frame.width, height: frame.height, color: &frame.color, alpha: &frame.alpha }
     }
 
-    /// 8-bit sRGB with straight alpha (255 throughout unless the backdrop is transparent).
-    ///
-    /// # Errors
-    /// [`Error::Run`] if a list does not have `width * height` entries.
-    pub fn rgba8(&self, look: &Look, backdrop: Backdrop) -> Result<RgbaImage> {
-        self.check(backdrop)?;
-        let samples = self.samples(|at| {
-            let (value, alpha) = self.shown(at, look, backdrop);
-            let [r, g, b] = srgb8(value);
-            [r, g, b, byte(alpha)]
-        });
-        let [width, height] = [self.width, self.height].map(|side| side as u32);
-        Ok(RgbaImage::from_raw(width, height, samples).expect("there are as many samples"))
-    }
-
-    /// 8-bit sRGB, opaque; a transparent backdrop is black.
-    ///
-    /// # Errors
-    /// [`Error::Run`] if a list does not have `width * height` entries.
-    pub fn rgb8(&self, look: &Look, backdrop: Backdrop) -> Result<RgbImage> {
-        let backdrop = match backdrop {
-            Backdrop::Transparent => Backdrop::Solid(Vec3::ZERO),
-            other => other,
-        };
-        self.check(backdrop)?;
-        let samples = self.samples(|at| srgb8(self.shown(at, look, backdrop).0));
-        let [width, height] = [self.width, self.height].map(|side| side as u32);
-        Ok(RgbImage::from_raw(width, height, samples).expect("there are as many samples"))
-    }
-
-    /// The samples of all pixels, in order.
-    fn samples<const CHANNELS: usize>(&self, pixel: impl Fn(usize) -> [u8; CHANNELS] + Sync) -> Vec<u8> {
-        let mut pixels = vec![[0; CHANNELS]; self.width * self.height];
-        pixels.par_iter_mut().enumerate().with_min_len(4096).for_each(|(at, out)| *out = pixel(at));
-        pixels.into_flattened()
-    }
-
-    /// The samples of a PNG: those of [`Picture::rgba8`] for a transparent backdrop, else those of [`Picture::rgb8`].
+    /// The 8-bit sRGB samples of all pixels, in order: with straight alpha for a transparent backdrop, else opaque.
     ///
     /// # Errors
     /// [`Error::Run`] if a list does not have `width * height` entries.
     pub fn samples8(&self, look: &Look, backdrop: Backdrop) -> Result<Vec<u8>> {
-        match backdrop {
-            Backdrop::Transparent => Ok(self.rgba8(look, backdrop)?.into_raw()),
-            _ => Ok(self.rgb8(look, backdrop)?.into_raw()),
-        }
-    }
-
-    /// Display-referred linear value and alpha of a pixel.
-    fn shown(&self, at: usize, look: &Look, backdrop: Backdrop) -> (Vec3, f32) {
-        let (color, alpha) = (self.color[at], self.alpha[at].clamp(0.0, 1.0));
-        // The color of the object for full coverage; the curve applies to this color, not to its mixture with black.
-        let straight = if alpha > 1e-4 { color / alpha } else { color };
-        match backdrop {
-            Backdrop::Transparent => (look.develop(straight), alpha),
-            Backdrop::Solid(solid) => (solid.lerp(look.develop(straight), alpha), 1.0),
-            Backdrop::Radiance(behind) => (look.develop(color + (1.0 - alpha) * behind[at]), 1.0),
-        }
-    }
-
-    fn check(&self, backdrop: Backdrop) -> Result<()> {
         let count = self.width * self.height;
         let behind = if let Backdrop::Radiance(behind) = backdrop { behind.len() } else { count };
         for (what, len) in [("color", self.color.len()), ("alpha", self.alpha.len()), ("backdrop", behind)] {
@@ -194,7 +144,39 @@ impl<'a> Picture<'a> {
                 return Err(Error::run("developing a picture", problem));
             }
         }
-        Ok(())
+        let covered = |at: usize| self.alpha[at].clamp(0.0, 1.0);
+        // The color of the object for full coverage; the curve applies to this color, not to its mixture with black.
+        let straight = |at: usize| {
+            let (color, alpha) = (self.color[at], covered(at));
+            look.develop(if alpha > 1e-4 { color / alpha } else { color })
+        };
+        Ok(match backdrop {
+            Backdrop::Transparent => self.samples(|at| {
+                let [r, g, b] = srgb8(straight(at));
+                [r, g, b, byte(covered(at))]
+            }),
+            Backdrop::Solid(solid) => self.samples(|at| srgb8(solid.lerp(straight(at), covered(at)))),
+            Backdrop::Radiance(behind) => {
+                self.samples(|at| srgb8(look.develop(self.color[at] + (1.0 - covered(at)) * behind[at])))
+            }
+        })
+    }
+
+    fn samples<const CHANNELS: usize>(&self, pixel: impl Fn(usize) -> [u8; CHANNELS] + Sync) -> Vec<u8> {
+        let mut pixels = vec![[0; CHANNELS]; self.width * self.height];
+        pixels.par_iter_mut().enumerate().with_min_len(4096).for_each(|(at, out)| *out = pixel(at));
+        pixels.into_flattened()
+    }
+
+    /// The picture on the mat.
+    ///
+    /// # Errors
+    /// Errors of [`Picture::samples8`].
+    pub(crate) fn on_mat(&self) -> Result<RgbImage> {
+        let mat = Vec3::from(MAT.map(|byte| linear_from_srgb(f32::from(byte) / 255.0)));
+        let samples = self.samples8(&Look::default(), Backdrop::Solid(mat))?;
+        let [width, height] = [self.width, self.height].map(|side| side as u32);
+        Ok(RgbImage::from_raw(width, height, samples).expect("there are as many samples"))
     }
 }
 
@@ -203,23 +185,12 @@ impl<'a> Picture<'a> {
 /// # Errors
 /// [`Error::Io`] if the file cannot be written.
 pub fn save_png(path: impl AsRef<Path>, frame: &Frame, look: &Look) -> Result<()> {
-    write_png(path, &Picture::of(frame), look, Backdrop::Transparent)
+    let samples = Picture::of(frame).samples8(look, Backdrop::Transparent)?;
+    write_png_rows(path, [frame.width as u32, frame.height as u32], true, |rows| rows.push(&samples))
 }
 
-/// Writes `picture` as an 8-bit sRGB PNG: RGBA with straight alpha for a transparent backdrop, else RGB.
-///
-/// # Errors
-/// [`Error::Run`] for lists of the wrong length, [`Error::Io`] if the file cannot be written.
-pub fn write_png(path: impl AsRef<Path>, picture: &Picture, look: &Look, backdrop: Backdrop) -> Result<()> {
-    let size = [picture.width as u32, picture.height as u32];
-    write_png_rows(path, size, matches!(backdrop, Backdrop::Transparent), None, |rows| {
-        rows.push(&picture.samples8(look, backdrop)?)
-    })
-}
-
-/// [`write_png`] for a picture of `size` (width, height) that is never whole in memory: `fill` pushes [`Picture::samples8`] of its bands
-/// from the top, all with a `transparent` backdrop or none. A `comment` says something about it, to those who look at the file
-/// ([`comment_of`](crate::codec::png_file::comment_of)).
+/// Writes a PNG of `size` (width, height) that is never whole in memory: `fill` pushes
+/// [`Picture::samples8`] of its bands from the top, all with a `transparent` backdrop or none.
 ///
 /// # Errors
 /// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture, and those of `rows`.
@@ -227,11 +198,10 @@ pub fn write_png_rows(
     path: impl AsRef<Path>,
     size: [u32; 2],
     transparent: bool,
-    comment: Option<&str>,
     fill: impl FnOnce(&mut PngRows) -> Result<()>,
 ) -> Result<()> {
     let color = if transparent { ColorType::Rgba } else { ColorType::Rgb };
-    png_file::write_rows(path, size, color, comment, fill)
+    png_file::write_rows(path, size, color, fill)
 }
 
 fn byte(value: f32) -> u8 {
@@ -258,9 +228,107 @@ static FIRST_OF_BYTE: LazyLock<[f32; 255]> = LazyLock::new(|| {
     })
 });
 
+/// sRGB stops of the color scale at 0, 1/8 … 1: matplotlib's "inferno" (N. Smith and S. van der Walt, 2015), which is
+/// perceptually uniform and suitable for color-blind readers.
+const INFERNO: [[u8; 3]; 9] = [
+    [0, 0, 4],
+    [31, 12, 72],
+    [85, 15, 109],
+    [136, 34, 106],
+    [186, 54, 85],
+    [227, 89, 51],
+    [249, 140, 10],
+    [249, 201, 50],
+    [252, 255, 164],
+];
+
+/// Color of the scale at `value`, which is clamped to `[0, 1]` (NaN is cyan, which the scale does not contain).
+pub(crate) fn heat_color(value: f32) -> [u8; 3] {
+    if value.is_nan() {
+        return [0, 255, 255];
+    }
+    let at = value.clamp(0.0, 1.0) * (INFERNO.len() - 1) as f32;
+    let low = (at as usize).min(INFERNO.len() - 2);
+    let blend = at - low as f32;
+    let (a, b) = (INFERNO[low], INFERNO[low + 1]);
+    std::array::from_fn(|c| (f32::from(a[c]) + (f32::from(b[c]) - f32::from(a[c])) * blend).round() as u8)
+}
+
+/// The error at the end of the scale of error maps.
+pub(crate) const LARGEST_ERROR: f32 = 0.25;
+
+/// Map of the errors of a prediction, on a scale that is the same for all pictures: the color at
+/// the root of error / [`LARGEST_ERROR`], so that small errors are seen and large ones told apart.
+/// An error is the mean absolute difference of the channels, both values clipped to `[0, 1]`, in
+/// linear light. Pixels with zero coverage show the mat.
+pub(crate) fn error_map(
+    [width, height]: [usize; 2],
+    [prediction, truth]: [&[Vec3]; 2],
+    coverage: &[f32],
+) -> RgbImage {
+    let clipped = |value: Vec3| value.clamp(Vec3::ZERO, Vec3::ONE);
+    RgbImage::from_fn(width as u32, height as u32, |x, y| {
+        let at = y as usize * width + x as usize;
+        let error = (clipped(prediction[at]) - clipped(truth[at])).abs().element_sum() / 3.0;
+        Rgb(if coverage[at] > 0.0 { heat_color((error / LARGEST_ERROR).sqrt()) } else { MAT })
+    })
+}
+
+/// Quality of the JPEGs, 1 to 100: traces of compression are not seen.
+const QUALITY: u8 = 85;
+/// Bytes that all small pictures of the views of a run may take together.
+pub(crate) const VIEWS_BUDGET: f64 = 5.5e6;
+/// Bytes of a pixel of a picture of an object, about: measured on renders and error maps at [`QUALITY`].
+const BYTES_PER_PIXEL: f64 = 0.2;
+/// Longest sides: of few pictures, and of so many that the budget is not kept.
+const LONGEST: f64 = 512.0;
+const SHORTEST: f64 = 96.0;
+
+/// The longest side of each of `count` pictures that are to keep to about `budget` bytes together, in pixels.
+pub(crate) fn side_within(count: usize, budget: f64) -> u32 {
+    let side = (budget / BYTES_PER_PIXEL / count.max(1) as f64).sqrt();
+    side.clamp(SHORTEST, LONGEST) as u32
+}
+
+/// A JPEG as an address, for a page that holds its pictures.
+pub(crate) fn jpeg_address(bytes: &[u8]) -> String {
+    format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes))
+}
+
+/// The size of a picture whose longer side is at most `side` pixels; `None` if it is no larger.
+fn smaller((width, height): (u32, u32), side: u32) -> Option<(u32, u32)> {
+    let factor = f64::from(side.max(1)) / f64::from(width.max(height).max(1));
+    let scaled = |length: u32| ((f64::from(length) * factor).round() as u32).max(1);
+    (factor < 1.0).then(|| (scaled(width), scaled(height)))
+}
+
+/// A mask at the size of [`thumbnail_jpeg`].
+pub(crate) fn thumbnail_mask(mask: &GrayImage, side: u32) -> GrayImage {
+    smaller(mask.dimensions(), side).map_or_else(|| mask.clone(), |(w, h)| thumbnail(mask, w, h))
+}
+
+/// The picture as a JPEG whose longer side is at most `side` pixels; it is never enlarged.
+///
+/// # Errors
+/// [`Error::Run`] for a picture without pixels.
+pub(crate) fn thumbnail_jpeg(picture: &RgbImage, side: u32) -> Result<Vec<u8>> {
+    let small = smaller(picture.dimensions(), side).map(|(w, h)| thumbnail(picture, w, h));
+    encode_jpeg(small.as_ref().unwrap_or(picture), QUALITY)
+}
+
+/// Writes [`thumbnail_jpeg`] to a file.
+///
+/// # Errors
+/// Errors of [`thumbnail_jpeg`]; [`Error::Io`] if the file cannot be written.
+pub(crate) fn write_thumbnail(path: &Path, picture: &RgbImage, side: u32) -> Result<()> {
+    write_bytes(path, &thumbnail_jpeg(picture, side)?)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use image::Luma;
+    use lobelia_io::codec::image::decode;
 
     #[test]
     fn looked_up_bytes_are_those_of_the_curve() {
@@ -316,32 +384,76 @@ mod tests {
     fn backdrops() {
         let (color, alpha) = ([Vec3::splat(0.25), Vec3::ZERO], [0.5, 0.0]);
         let picture = Picture { width: 2, height: 1, color: &color, alpha: &alpha };
-        let look = Look::default();
-        let shown = picture.rgba8(&look, Backdrop::Transparent).unwrap();
-        assert_eq!(shown.get_pixel(0, 0).0, [188, 188, 188, 128], "straight color 0.5 at alpha ½");
-        assert_eq!(shown.get_pixel(1, 0).0, [0, 0, 0, 0]);
-        let shown = picture.rgb8(&look, Backdrop::Solid(Vec3::ONE)).unwrap();
-        assert_eq!(shown.get_pixel(0, 0).0, srgb8(Vec3::splat(0.75)));
-        assert_eq!(shown.get_pixel(1, 0).0, [255, 255, 255]);
+        let shown = |look: Look, backdrop| picture.samples8(&look, backdrop);
+        let straight = shown(Look::default(), Backdrop::Transparent).unwrap();
+        assert_eq!(straight, [188, 188, 188, 128, 0, 0, 0, 0], "straight color 0.5 at alpha ½");
+        let white = shown(Look::default(), Backdrop::Solid(Vec3::ONE)).unwrap();
+        assert_eq!(white, [srgb8(Vec3::splat(0.75)), [255; 3]].concat());
         let behind = [Vec3::splat(0.1), Vec3::splat(0.2)];
         let bright = Look { exposure: 1.0, tone: Tone::Srgb };
-        let shown = picture.rgb8(&bright, Backdrop::Radiance(&behind)).unwrap();
-        assert_eq!(shown.get_pixel(0, 0).0, srgb8(Vec3::splat(2.0 * (0.25 + 0.05))));
-        assert_eq!(shown.get_pixel(1, 0).0, srgb8(Vec3::splat(0.4)));
-        assert!(picture.rgb8(&look, Backdrop::Radiance(&behind[..1])).is_err());
-        assert_eq!(picture.rgb8(&look, Backdrop::Transparent).unwrap().get_pixel(1, 0).0, [0, 0, 0]);
+        let before_light = shown(bright, Backdrop::Radiance(&behind)).unwrap();
+        let expected = [2.0 * (0.25 + 0.05), 0.4].map(|gray| srgb8(Vec3::splat(gray)));
+        assert_eq!(before_light, expected.concat());
+        assert!(shown(bright, Backdrop::Radiance(&behind[..1])).is_err());
+        assert_eq!(picture.on_mat().unwrap().get_pixel(1, 0).0, MAT);
     }
 
     #[test]
-    fn png_has_alpha_only_when_transparent() {
+    fn a_frame_is_saved_with_straight_alpha() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
-        let picture = Picture { width: 1, height: 1, color: &[Vec3::splat(0.2)], alpha: &[0.4] };
-        write_png(&path, &picture, &Look::default(), Backdrop::Transparent).unwrap();
+        let (color, alpha) = (vec![Vec3::splat(0.2)], vec![0.4]);
+        let frame = Frame { width: 1, height: 1, color, alpha, ..Frame::default() };
+        save_png(&path, &frame, &Look::default()).unwrap();
         let read = image::open(&path).unwrap();
         assert_eq!(read.color(), image::ColorType::Rgba8);
         assert_eq!(read.into_rgba8().get_pixel(0, 0).0, [188, 188, 188, 102]);
-        write_png(&path, &picture, &Look::default(), Backdrop::Solid(Vec3::ZERO)).unwrap();
-        assert_eq!(image::open(&path).unwrap().color(), image::ColorType::Rgb8);
+    }
+
+    #[test]
+    fn the_scale_of_errors_ends_and_rises() {
+        assert_eq!(heat_color(-1.0), INFERNO[0]);
+        assert_eq!(heat_color(2.0), INFERNO[8]);
+        assert_eq!(heat_color(0.5), INFERNO[4]);
+        let lightness = |v: f32| {
+            let [r, g, b] = heat_color(v).map(f32::from);
+            0.21 * r + 0.72 * g + 0.07 * b
+        };
+        assert!((1..=64).all(|i| lightness(i as f32 / 64.0) > lightness((i - 1) as f32 / 64.0)));
+    }
+
+    #[test]
+    fn an_error_has_its_place_on_the_scale() {
+        let (p, t) = (
+            [Vec3::new(0.5, 2.0, 0.29), Vec3::ONE, Vec3::ONE],
+            [Vec3::new(0.52, 1.0, 0.3), Vec3::ZERO, Vec3::ZERO],
+        );
+        let map = error_map([3, 1], [&p, &t], &[1.0, 1.0, 0.0]);
+        let colors: Vec<[u8; 3]> = map.pixels().map(|pixel| pixel.0).collect();
+        assert_eq!(colors, [heat_color(0.2), INFERNO[8], MAT]);
+    }
+
+    #[test]
+    fn few_pictures_are_large_and_many_keep_to_the_budget() {
+        let side_for = |count| side_within(count, VIEWS_BUDGET);
+        assert_eq!((side_for(0), side_for(3), side_for(1_000_000)), (512, 512, 96));
+        let side = f64::from(side_for(900));
+        assert!(side < 200.0 && 900.0 * side * side * BYTES_PER_PIXEL <= VIEWS_BUDGET, "{side}");
+    }
+
+    #[test]
+    fn thumbnails_keep_their_shape_and_are_not_enlarged() {
+        for (size, side, expected) in
+            [((40, 20), 512, (40, 20)), ((40, 20), 10, (10, 5)), ((1, 300), 10, (1, 10))]
+        {
+            let picture = RgbImage::from_pixel(size.0, size.1, Rgb([200, 40, 10]));
+            let read = decode(&thumbnail_jpeg(&picture, side).unwrap()).unwrap().to_rgb8();
+            let [r, g, b] = read.get_pixel(0, 0).0;
+            assert!(r.abs_diff(200) < 6 && g.abs_diff(40) < 6 && b.abs_diff(10) < 6, "{r} {g} {b}");
+            let mask = thumbnail_mask(&GrayImage::from_pixel(size.0, size.1, Luma([9])), side);
+            assert_eq!((read.dimensions(), mask.dimensions()), (expected, expected));
+            assert_eq!(mask.get_pixel(0, 0).0, [9]);
+        }
+        assert!(thumbnail_jpeg(&RgbImage::new(0, 4), 10).is_err());
     }
 }

@@ -1,23 +1,20 @@
 //! Reading a scene file: `--set`, parsing, paths and checks, each error with a caret. Nothing is written.
 
-use crate::codec::file::{FileKind, MOST_TEXT, obstacle, read_text};
 use crate::scene::description::{Scene, VERSION};
 use crate::scene::diagnostic::{Problem, SceneText};
-use crate::scene::edit::Edit;
-use crate::scene::paths;
-use crate::scene::paths::{Bounds, Files};
-use crate::scene::ron_tree;
-use crate::scene::ron_tree::Node;
-use crate::scene::source;
-use crate::scene::validate;
-use crate::{Error, Result};
+use crate::scene::render::Edit;
+use crate::scene::ron_tree::{self, Node};
+use crate::scene::source::set;
+use crate::scene::validate::check;
+use lobelia_geometry::{Error, Result};
+use lobelia_io::codec::file::{FileKind, MOST_TEXT, obstacle, read_text};
 use ron::extensions::Extensions;
 use std::path::{Path, PathBuf};
 
-/// What the command line adds to a scene file.
+/// Additions of the command line to a scene file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LoadOptions {
-    /// What `$DATA` stands for.
+    /// Folder that `$DATA` stands for.
     pub data: Option<PathBuf>,
     /// `--set` values in order: path and RON text.
     pub sets: Vec<(String, String)>,
@@ -26,9 +23,6 @@ pub struct LoadOptions {
     /// Without `data`, leave `$DATA/…` as it is and do not look for it, instead of refusing the scene: such a
     /// scene can be checked but not run.
     pub without_data: bool,
-    /// Refuse paths that lead out of the scene file's folder and of `data`, by `..`, by links, or because they are absolute. For scene
-    /// files from elsewhere; the program sets it unless `--allow-outside` is given.
-    pub confined: bool,
 }
 
 /// A scene that was read and checked.
@@ -44,10 +38,8 @@ pub struct LoadedScene {
     pub text: String,
     /// The files and folders that the scene needs, in the order of the scene file; all were found.
     pub files: Vec<PathBuf>,
-    /// What was not looked for, because `$DATA` stands for nothing ([`LoadOptions::without_data`]).
+    /// Paths not looked for, because `$DATA` stands for nothing ([`LoadOptions::without_data`]).
     pub unseen: Vec<PathBuf>,
-    /// The folders that files may be in ([`LoadOptions::confined`]); `None`: any.
-    pub roots: Option<Vec<PathBuf>>,
 }
 
 /// Reads and checks a scene file.
@@ -70,7 +62,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
     };
     let mut text = read_text(path, MOST_TEXT, help)?;
     for (target, value) in &options.sets {
-        text = source::set(&text, target, value)
+        text = set(&text, target, value)
             .map_err(|(problem, help)| Error::usage(format!("--set {target}={value}: {problem}"), help))?;
     }
     let words = SceneText { path, text: &text, edited: !options.sets.is_empty() };
@@ -79,30 +71,12 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
         scene.seed = seed;
     }
     let base_dir = path.parent().map_or_else(PathBuf::new, Path::to_owned);
-    let mut problems = validate::check(&scene);
-    let bounds = Bounds { base_dir: &base_dir, data: options.data.as_deref(), confined: options.confined };
-    let Files { found, mut unseen, at } = paths::resolve(&mut scene, bounds, &mut problems);
-    if !options.without_data
-        && let Some(at) = at
-    {
-        unseen.clear();
-        problems.push(data_is_missing(at));
+    let found = check(&mut scene, &base_dir, options);
+    if !found.problems.is_empty() {
+        return Err(words.problems(root.as_ref(), found.problems));
     }
-    if !problems.is_empty() {
-        return Err(words.problems(root.as_ref(), problems));
-    }
-    let roots = options.confined.then(|| bounds.roots());
-    Ok(LoadedScene { scene, path: path.to_owned(), text, files: found, unseen, roots, base_dir })
-}
-
-/// One report stands for every `$DATA/…`: they have the same remedy.
-fn data_is_missing(at: String) -> Problem {
-    Problem {
-        path: at,
-        problem: "$DATA stands for nothing here".into(),
-        expected: "expected --data to say what $DATA is".into(),
-        help: "Give the folder on the command line: --data DIR.".into(),
-    }
+    let (path, files, unseen) = (path.to_owned(), found.files, found.unseen);
+    Ok(LoadedScene { scene, path, base_dir, text, files, unseen })
 }
 
 /// The scene as RON text, laid out for people; it reads back to an equal scene.
@@ -113,23 +87,8 @@ pub fn to_ron(scene: &Scene) -> Result<String> {
     let config = ron::ser::PrettyConfig::new().depth_limit(6).struct_names(false);
     let text = options().to_string_pretty(scene, config);
     let text = text.map_err(|error| Error::run("writing the scene as RON", error.to_string()))?;
-    Ok(with_plain_none(text) + "\n")
-}
-
-/// `r#None`, as the serializer writes a variant with that name, becomes `None`, as people write it. No field of a scene is an option of
-/// such a type, so that both are read alike.
-fn with_plain_none(mut text: String) -> String {
-    const RAW: &str = "r#None";
-    let Ok(root) = ron_tree::parse(&text) else { return text };
-    let mut found = Vec::new();
-    let mut open = vec![&root];
-    while let Some(node) = open.pop() {
-        found.extend((&text[node.span.clone()] == RAW).then(|| node.span.clone()));
-        open.extend(node.children());
-    }
-    found.sort_by_key(|span| std::cmp::Reverse(span.start));
-    found.into_iter().for_each(|span| text.replace_range(span, "None"));
-    text
+    // A variant with that name is written as a raw identifier; no field of a scene is an option of such a type, so that both are read alike.
+    Ok(text.replace(": r#None", ": None") + "\n")
 }
 
 /// An edit as RON text on one line, as a scene file has it.
@@ -150,8 +109,19 @@ pub(crate) fn options() -> ron::Options {
 /// The scene and, for carets, its tree of ranges.
 fn parse(words: &SceneText) -> Result<(Scene, Option<Node>)> {
     let root = ron_tree::parse(words.text);
-    if let Ok(root) = &root {
-        check_version(words, root)?;
+    let version = root.as_ref().ok().and_then(|root| root.field(words.text, "version"));
+    let version = version.map(|node| &words.text[node.span.clone()]);
+    // Another version is reported first, because it would explain every other complaint.
+    if let (Ok(root), Some(found)) = (&root, version)
+        && found.parse::<u32>().is_ok_and(|version| version != VERSION)
+    {
+        let problem = Problem {
+            path: "version".into(),
+            problem: format!("scene files of version {found} are not known"),
+            expected: format!("expected {VERSION}"),
+            help: format!("This program reads version {VERSION}."),
+        };
+        return Err(words.problems(Some(root), vec![problem]));
     }
     match (options().from_str::<Scene>(words.text), root) {
         (Ok(scene), root) => Ok((scene, root.ok())),
@@ -160,29 +130,10 @@ fn parse(words: &SceneText) -> Result<(Scene, Option<Node>)> {
     }
 }
 
-/// Another version is reported first, because it would explain every other complaint.
-fn check_version(words: &SceneText, root: &Node) -> Result<()> {
-    match root.field(words.text, "version").map(|node| &words.text[node.span.clone()]) {
-        Some(found) if found.parse::<u32>().is_ok_and(|version| version != VERSION) => {
-            let problem = Problem {
-                path: "version".into(),
-                problem: format!("scene files of version {found} are not known"),
-                expected: format!("expected {VERSION}"),
-                help: format!("This program reads version {VERSION}."),
-            };
-            Err(words.problems(Some(root), vec![problem]))
-        }
-        _ => Ok(()),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::light::Light;
-    use crate::scene::material::{Material, Roughness, Specular};
-    use crate::scene::passes::Pass;
-    use crate::scene::views::Views;
+    use crate::scene::{Light, Material, Pass, Roughness, Specular, Views};
 
     /// Says most of what can be said.
     const RICH: &str = r#"Scene(
@@ -206,7 +157,7 @@ mod tests {
                 Diffuse(action: Blend(color: (1, 1, 1), weight: 0.5), region: Box(min: (-1, -1, -1), max: (1, 0, 1))),
                 Diffuse(action: Scale(0.5, 0.5, 0.5), region: Sphere(center: (0, 0, 0), radius: 1)),
                 Specular(action: Set(0.9, 0.65, 0.3)),
-                Roughness(action: Set(0.15)),
+                Roughness(action: Set(0.15), region: Stroke(points: [(0, 0.25, 0), (0.1, -2, 3)], radius: 0.5)),
             ]),
             Relight(name: "relit", light: Lobes(lobes: [(axis: (1, 0, 0), sharpness: 0, amplitude: (1, 1, 1))])),
             Evaluate(
@@ -214,7 +165,7 @@ mod tests {
                 albedo: SelfMade,
             ),
             Save(),
-            Export(name: "glb", formats: [Glb, Ply, Obj], triangles: 500),
+            Export(name: "glb", formats: [Glb, Usda], triangles: 500),
         ],
     )"#;
 
@@ -243,9 +194,6 @@ mod tests {
         let written = to_ron(&scene).unwrap();
         assert!(written.contains("sheen: None,") && written.contains("tilt: None,"), "{written}");
         assert_eq!(load_text(&written, &LoadOptions::default()).unwrap().scene, scene);
-        let among_strings = r##"(a: r#None, b: "r#None", c: [r#None, "x, r#None"])"##;
-        let plain = r#"(a: None, b: "r#None", c: [None, "x, r#None"])"#;
-        assert_eq!(with_plain_none(among_strings.into()), plain);
     }
 
     #[test]

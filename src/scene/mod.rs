@@ -9,45 +9,33 @@
 //!
 //! Nothing here makes a world or runs a pass: that is for [`spawn`](crate::spawn) and [`pass`](crate::pass).
 
-mod defaults;
 mod description;
-pub mod diagnostic;
-mod edit;
-mod evaluate;
-pub mod fields;
-mod film;
-mod fit;
-mod light;
+mod diagnostic;
 pub mod load;
-mod material;
-mod output;
 mod passes;
-pub mod paths;
-mod photographed;
 mod render;
-pub mod ron_tree;
-pub mod source;
-mod surface;
-pub mod validate;
+mod ron_tree;
+mod source;
+mod validate;
 mod views;
-mod visibility;
 
-pub use description::{Scene, VERSION};
-pub use edit::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
-pub use evaluate::{EvaluatePass, LayerTruth, Score, ScoreScale, Truth, VIEW};
-pub use film::{Easing, LightSweep, MaterialSweep, OrbitKey};
-pub use fit::{FitPass, FitShading, GridLevel, Rates, ShapePass};
-pub use light::{Light, LightFrameChoice, LightSource, UnknownLight};
-pub use load::{LoadOptions, LoadedScene, load, to_ron};
-pub use material::{
-    Albedo, AlbedoSource, Gloss, Material, NdfChoice, Roughness, Sheen, Specular, SpecularAlbedo, Tilt,
+pub use description::{
+    Albedo, AlbedoSource, Gloss, Light, LightFrameChoice, LightSource, Material, NdfChoice, Roughness, Scene,
+    Sheen, Specular, SpecularAlbedo, Surface, Tilt, UnknownLight, VERSION, Visibility,
 };
-pub use output::{ExportPass, ExportScale, ExportUp, MeshFormat, SavePass, ViewPass};
-pub use passes::{EditPass, Pass, RelightPass, RenderPass};
-pub use photographed::{CameraRing, Pattern, Photographed, TruthObject};
-pub use render::{Orbit, OrbitFormat, RenderSettings, Shading, ViewChoice};
-pub use surface::Surface;
-pub use validate::passes::unknown_parts;
-pub(crate) use validate::passes::uses_published;
-pub use views::{CameraSpec, Dataset, PlacementLight, PlacementSpec, Views};
-pub use visibility::Visibility;
+pub use load::{LoadOptions, LoadedScene, load, to_ron};
+pub use passes::{
+    EditPass, EvaluatePass, ExportPass, ExportScale, ExportUp, FitPass, FitShading, GridLevel, LayerTruth,
+    MeshFormat, Pass, Rates, RelightPass, RenderPass, SavePass, Score, ScoreScale, ShapePass, Truth, VIEW,
+    ViewPass,
+};
+pub use render::{
+    ColorAction, DiffuseAction, Easing, Edit, LightSweep, MaterialSweep, Orbit, OrbitKey, Region,
+    RenderSettings, ScalarAction, Shading, ViewChoice,
+};
+pub use source::fields;
+pub(crate) use validate::uses_published;
+pub use validate::{MIN_ROUGHNESS, unknown_parts};
+pub use views::{
+    CameraRing, CameraSpec, Dataset, Pattern, Photographed, PlacementLight, PlacementSpec, TruthObject, Views,
+};

@@ -1,10 +1,11 @@
-//! How a pass renders: which views, which shading, and how the pictures look.
+//! How a pass renders: which views and shading, how the pictures look, films, and edits of the material.
 
-use crate::math::accurate::Quality;
 use crate::report::tone::Tone;
-use crate::scene::film::{LightSweep, MaterialSweep, OrbitKey};
+use crate::scene::description::{number, yes};
+use glam::Vec3;
+use lobelia_sg::accurate::Quality;
 use serde::{Deserialize, Serialize};
-use std::ops::Range;
+use std::path::PathBuf;
 
 /// Which pictures are rendered, and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -43,13 +44,6 @@ impl Default for RenderSettings {
     }
 }
 
-impl RenderSettings {
-    /// Whether noise is filtered away.
-    pub fn is_denoised(&self) -> bool {
-        matches!(self.shading, Shading::PathTraced { denoise: true, .. })
-    }
-}
-
 /// Which views are rendered.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ViewChoice {
@@ -76,18 +70,14 @@ pub enum Shading {
     /// An unbiased path tracer with the same BRDF: shadows and interreflection.
     PathTraced {
         /// Paths per pixel, 1 to 65536. Default 64.
-        #[serde(default = "spp")]
+        #[serde(default = "number::<64>")]
         spp: u32,
         /// Most surface hits of a path, 1 to 64. Default 4.
-        #[serde(default = "max_bounces")]
+        #[serde(default = "number::<4>")]
         max_bounces: u32,
         /// Where the light is a map, trace against the map itself and not against the lobes fitted to it. Default true.
         #[serde(default = "yes")]
         map: bool,
-        /// Filter the noise away, guided by albedo, normals and depth: pictures have a small bias instead. Needs `spp` ≥ 4; a pixel has at least
-        /// 4 camera rays. Default false.
-        #[serde(default)]
-        denoise: bool,
     },
 }
 
@@ -111,17 +101,12 @@ pub struct Orbit {
     pub height: Option<u32>,
     /// Frames per second, 1 to 100. Default 20.
     pub fps: u32,
-    /// What the film is written as, besides an MP4. Default `Gif`.
-    pub format: OrbitFormat,
     /// Where the camera is over time, in the order of time, instead of one even turn at one height and distance. Default [].
     pub keys: Vec<OrbitKey>,
     /// The light turns over the frames. Default: it stands still.
     pub light: Option<LightSweep>,
     /// The material changes over the frames. Default: it stays as it is.
     pub material: Option<MaterialSweep>,
-    /// The first frame that is rendered, from 0, and how many are, of a film that several runs share (`lobelia list`): without a film of
-    /// the part. Default: all.
-    pub part: Option<(u32, u32)>,
 }
 
 impl Default for Orbit {
@@ -135,47 +120,258 @@ impl Default for Orbit {
             width: None,
             height: None,
             fps: 20,
-            format: OrbitFormat::Gif,
             keys: Vec::new(),
             light: None,
             material: None,
-            part: None,
         }
     }
 }
 
 impl Orbit {
-    /// The frames that are rendered.
-    pub fn rendered(&self) -> Range<u32> {
-        self.part.map_or(0..self.frames, |(first, count)| first..(first + count).min(self.frames))
-    }
-
     /// Width and height in pixels.
     pub fn sides(&self) -> [u32; 2] {
         [self.width, self.height].map(|side| side.unwrap_or(self.size))
     }
 }
 
-/// What an orbit is written as.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum OrbitFormat {
-    /// 256 colors, plays everywhere.
-    #[default]
-    Gif,
-    /// All colors.
-    Apng,
-    /// The MP4 alone (H.264).
-    Mp4,
-    /// PNG files in `orbit_frames/`, which stay whatever becomes of the film.
-    Frames,
+/// The camera at one time of a film. A value that no key gives is that of the orbit.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OrbitKey {
+    /// When, from 0 (first frame) to 1 (last frame); not before the key above it.
+    pub at: f32,
+    /// Angle around the object in degrees, counterclockwise from above; 0 is in front. Default: no key, and so one even turn.
+    #[serde(default)]
+    pub angle_degrees: Option<f32>,
+    /// Height of the camera over the horizon in degrees, −89 to 89. Default: no key.
+    #[serde(default)]
+    pub elevation_degrees: Option<f32>,
+    /// Distance from the object's center > 0. Default: no key.
+    #[serde(default)]
+    pub radius: Option<f32>,
+    /// How the values change from the key before to this one. Default `Smooth`.
+    #[serde(default)]
+    pub easing: Easing,
 }
 
-fn spp() -> u32 {
-    64
+/// How a value changes between two times.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Easing {
+    /// Evenly.
+    Linear,
+    /// Slowly at both ends.
+    #[default]
+    Smooth,
+    /// Slowly at first.
+    In,
+    /// Slowly at last.
+    Out,
+    /// Not at all before the later time, and then at once.
+    Hold,
 }
-fn max_bounces() -> u32 {
-    4
+
+impl Easing {
+    /// The part of the change that is made at the part `t` of the time, both from 0 to 1.
+    pub fn at(self, t: f32) -> f32 {
+        let t = t.clamp(0.0, 1.0);
+        match self {
+            Self::Linear => t,
+            Self::Smooth => t * t * (3.0 - 2.0 * t),
+            Self::In => t * t,
+            Self::Out => t * (2.0 - t),
+            Self::Hold => t.floor(),
+        }
+    }
 }
-fn yes() -> bool {
-    true
+
+/// The light turns over the frames of a film.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LightSweep {
+    /// Axis of the turn. Default: the scene's `up`.
+    pub axis: Option<Vec3>,
+    /// Angle at the first frame in degrees. Default 0.
+    pub from_degrees: f32,
+    /// Angle one frame after the last, so that whole turns play without a break; with `Hold` at the last frame. Default 360.
+    pub to_degrees: f32,
+    /// How it changes. Default `Linear`.
+    pub easing: Easing,
+}
+
+impl Default for LightSweep {
+    fn default() -> Self {
+        Self { axis: None, from_degrees: 0.0, to_degrees: 360.0, easing: Easing::Linear }
+    }
+}
+
+/// The material changes over the frames of a film: factors on what the pass shows, at the first frame and at the last.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MaterialSweep {
+    /// Factors ≥ 0 on the roughness. Default (1, 1).
+    pub roughness: (f32, f32),
+    /// Factors ≥ 0 on the diffuse albedo. Default (1, 1).
+    pub albedo: (f32, f32),
+    /// Factors ≥ 0 on the specular albedo. Default (1, 1).
+    pub specular: (f32, f32),
+    /// How they change. Default `Linear`.
+    pub easing: Easing,
+}
+
+impl Default for MaterialSweep {
+    fn default() -> Self {
+        Self { roughness: (1.0, 1.0), albedo: (1.0, 1.0), specular: (1.0, 1.0), easing: Easing::Linear }
+    }
+}
+
+/// One change of the material: `Diffuse(action: Set(0.8, 0.1, 0.1), region: Sphere(center: (0, 0.5, 0), radius: 0.3))`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Edit {
+    /// Changes the diffuse albedo.
+    Diffuse {
+        /// The change of the diffuse albedo.
+        action: DiffuseAction,
+        /// Where. Default `All`.
+        #[serde(default)]
+        region: Region,
+    },
+    /// Changes the specular albedo.
+    Specular {
+        /// The change of the specular albedo.
+        action: ColorAction,
+        /// Where. Default `All`.
+        #[serde(default)]
+        region: Region,
+    },
+    /// Changes the roughness.
+    Roughness {
+        /// The change of the roughness.
+        action: ScalarAction,
+        /// Where. Default `All`.
+        #[serde(default)]
+        region: Region,
+    },
+}
+
+impl Edit {
+    /// Where the edit applies.
+    pub fn region(&self) -> &Region {
+        let (Self::Diffuse { region, .. } | Self::Specular { region, .. } | Self::Roughness { region, .. }) =
+            self;
+        region
+    }
+}
+
+/// Change of the diffuse albedo; results are clamped to [0, 1].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum DiffuseAction {
+    /// Replaces it: `Set(0.8, 0.1, 0.1)`, in [0, 1].
+    Set(Vec3),
+    /// Multiplies it: `Scale(1.2, 1, 1)`, ≥ 0.
+    Scale(Vec3),
+    /// Moves it toward a color: old + weight (color − old).
+    Blend {
+        /// The color, in [0, 1].
+        color: Vec3,
+        /// In [0, 1].
+        weight: f32,
+    },
+    /// Replaces it by an image in texture space: PNG (sRGB) or EXR (linear); must exist. `Texture("paint.png")`.
+    Texture(PathBuf),
+}
+
+/// Change of a color; results are clamped to [0, 1].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum ColorAction {
+    /// Replaces it: `Set(0.9, 0.65, 0.3)`, in [0, 1].
+    Set(Vec3),
+    /// Multiplies it: `Scale(1.2, 1, 1)`, ≥ 0.
+    Scale(Vec3),
+    /// Moves it toward a color: old + weight (color − old).
+    Blend {
+        /// The color, in [0, 1].
+        color: Vec3,
+        /// In [0, 1].
+        weight: f32,
+    },
+}
+
+/// Change of the roughness; results are clamped to [0.03, 1].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum ScalarAction {
+    /// Replaces it: `Set(0.15)`, in [0.03, 1].
+    Set(f32),
+    /// Multiplies it: `Scale(0.5)`, ≥ 0.
+    Scale(f32),
+    /// Moves it toward a value: old + weight (value − old).
+    Blend {
+        /// The value, in [0.03, 1].
+        value: f32,
+        /// In [0, 1].
+        weight: f32,
+    },
+}
+
+/// Where an edit applies.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Region {
+    /// The whole object.
+    #[default]
+    All,
+    /// Inside an axis-aligned box in world space.
+    Box {
+        /// Least corner.
+        min: Vec3,
+        /// Greatest corner; no coordinate below `min`'s.
+        max: Vec3,
+        /// Distance inside the walls over which the edit sets in, world units ≥ 0. Default 0: a hard edge.
+        #[serde(default)]
+        falloff: f32,
+    },
+    /// Inside a ball in world space.
+    Sphere {
+        /// Center.
+        center: Vec3,
+        /// Radius > 0.
+        radius: f32,
+        /// Distance inside the ball over which the edit sets in, world units ≥ 0. Default 0: a hard edge.
+        #[serde(default)]
+        falloff: f32,
+    },
+    /// Within a distance of a line in world space, as a brush paints it: around one point a ball.
+    Stroke {
+        /// The points that the line goes through, in order, straight from each to the next; 1 to 256.
+        points: Vec<Vec3>,
+        /// Greatest distance from the line, world units > 0.
+        radius: f32,
+        /// Distance inside the border over which the edit sets in, world units ≥ 0. Default 0: a hard edge.
+        #[serde(default)]
+        falloff: f32,
+    },
+    /// Where an image in texture space is bright (0: not at all, 1: fully); must exist. `Mask("belly.png")`.
+    Mask(PathBuf),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn easings_begin_and_end_alike() {
+        for easing in [Easing::Linear, Easing::Smooth, Easing::In, Easing::Out, Easing::Hold] {
+            assert_eq!(
+                (easing.at(-1.0), easing.at(0.0), easing.at(1.0), easing.at(2.0)),
+                (0.0, 0.0, 1.0, 1.0)
+            );
+        }
+        let early = |easing: Easing| easing.at(0.25);
+        assert_eq!(early(Easing::Linear), 0.25);
+        assert!(early(Easing::In) < early(Easing::Smooth) && early(Easing::Smooth) < 0.25);
+        assert!(early(Easing::Out) > 0.25 && early(Easing::Hold) == 0.0);
+    }
 }

@@ -1,10 +1,16 @@
 //! RON text as a light tree of byte ranges, with no types.
+//!
+//! It serves three ends: the caret of an error about a value (`material.specular.roughness`), `--set path=value`, which replaces a
+//! value's text before the file is read as usual, and comparing scene files of any version.
+//!
+//! A path is a list of steps joined by dots. A step is a field's name, an index of a list or tuple, the `name`
+//! of a list's item, or (where no item has that name) the only item of that kind: `passes.novel.render.exposure`,
+//! `passes.fit.rates.light`. Wrappers such as `Fixed(Map(scale: 2))` are looked through: `light.scale`.
 
 use std::ops::Range;
 
 /// Nesting beyond this is refused, so that hostile text cannot exhaust the stack.
 const MAX_DEPTH: usize = 100;
-
 /// Text with more values than this is refused, because each takes some hundred bytes of memory. A saved scene of 20 000 cameras
 /// has fewer than half as many.
 const MAX_VALUES: usize = 1_000_000;
@@ -16,32 +22,23 @@ pub struct Node {
     pub span: Range<usize>,
     /// Bytes of the name before `(`, or of a bare identifier such as `Unknown`.
     pub name: Option<Range<usize>>,
-    /// What it holds.
+    /// Its content.
     pub body: Body,
 }
 
-/// What a value holds.
+/// Content of a value.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Body {
     /// A number, boolean, character or bare identifier.
     Plain,
     /// A string; the bytes between the quotes.
     Text(Range<usize>),
-    /// `(field: value, …)`; also an empty `()`.
-    Fields(Vec<Field>),
+    /// `(field: value, …)`, with the bytes of each name; also an empty `()`.
+    Fields(Vec<(Range<usize>, Node)>),
     /// `[…]`, or `(value, …)`.
     Items(Vec<Node>),
     /// `{key: value, …}`.
     Map(Vec<(Node, Node)>),
-}
-
-/// A field of a struct.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Field {
-    /// Bytes of the field's name.
-    pub name: Range<usize>,
-    /// Its value.
-    pub value: Node,
 }
 
 /// Text that is not RON.
@@ -49,7 +46,7 @@ pub struct Field {
 pub struct SyntaxError {
     /// Where reading stopped.
     pub at: Range<usize>,
-    /// What was expected there.
+    /// The expectation there.
     pub expected: String,
     /// The bracket or quote that is still open there.
     pub open: Option<Range<usize>>,
@@ -62,15 +59,23 @@ impl Node {
     }
 
     /// The field with this name, looking through wrappers.
-    pub fn field<'a>(&'a self, text: &str, name: &str) -> Option<&'a Node> {
+    pub fn field(&self, text: &str, name: &str) -> Option<&Node> {
         match &self.inner().body {
-            Body::Fields(fields) => fields.iter().find(|f| &text[f.name.clone()] == name).map(|f| &f.value),
+            Body::Fields(fields) => fields.iter().find(|f| &text[f.0.clone()] == name).map(|f| &f.1),
             _ => None,
         }
     }
 
-    /// What is inside wrappers such as `Fixed(Map(…))`: the innermost value.
-    pub(super) fn inner(&self) -> &Node {
+    /// The text of a list's item that names it: that of its field `name`.
+    pub fn own_name<'a>(&self, text: &'a str) -> Option<&'a str> {
+        match &self.field(text, "name")?.body {
+            Body::Text(range) => Some(&text[range.clone()]),
+            _ => None,
+        }
+    }
+
+    /// The innermost value of wrappers such as `Fixed(Map(…))`.
+    pub fn inner(&self) -> &Node {
         match &self.body {
             Body::Items(items) if self.name.is_some() && items.len() == 1 && items[0].name.is_some() => {
                 items[0].inner()
@@ -83,25 +88,29 @@ impl Node {
     pub fn children(&self) -> Vec<&Node> {
         match &self.body {
             Body::Plain | Body::Text(_) => Vec::new(),
-            Body::Fields(fields) => fields.iter().map(|field| &field.value).collect(),
+            Body::Fields(fields) => fields.iter().map(|(_, value)| value).collect(),
             Body::Items(items) => items.iter().collect(),
             Body::Map(entries) => entries.iter().flat_map(|(key, value)| [key, value]).collect(),
         }
     }
 
-    /// The innermost value whose bytes contain `at`.
-    pub fn innermost(&self, at: usize) -> &Node {
-        let child = self.children().into_iter().find(|node| node.span.start <= at && at < node.span.end);
-        child.map_or(self, |child| child.innermost(at))
+    /// The innermost value with a body of a kind whose bytes contain `at`; this one if there is none.
+    pub fn innermost(&self, at: usize, is_wanted: impl Fn(&Body) -> bool) -> &Node {
+        let (mut best, mut here) = (self, Some(self));
+        while let Some(node) = here {
+            if is_wanted(&node.body) {
+                best = node;
+            }
+            here = node.children().into_iter().find(|child| child.span.contains(&at));
+        }
+        best
     }
 
     /// The bytes of every field's name, here and further inside.
     pub fn field_names(&self) -> Vec<Range<usize>> {
-        let own = match &self.body {
-            Body::Fields(fields) => fields.iter().map(|field| field.name.clone()).collect(),
-            Body::Plain | Body::Text(_) | Body::Items(_) | Body::Map(_) => Vec::new(),
-        };
-        own.into_iter().chain(self.children().into_iter().flat_map(Node::field_names)).collect()
+        let own = if let Body::Fields(fields) = &self.body { fields.as_slice() } else { &[] };
+        let inside = self.children().into_iter().flat_map(Node::field_names);
+        own.iter().map(|field| field.0.clone()).chain(inside).collect()
     }
 
     /// A short range that stands for the value in a message: itself, or its name or opening bracket if it is long.
@@ -114,32 +123,38 @@ impl Node {
     }
 
     /// The part of this value that one step of a path names.
-    pub(super) fn step<'a>(&'a self, text: &str, step: &str) -> Option<&'a Node> {
-        let node = self.inner();
-        match &node.body {
-            Body::Fields(_) => node.field(text, step),
-            Body::Items(items) => {
-                step.parse::<usize>().map_or_else(|_| named_item(items, text, step), |index| items.get(index))
-            }
+    pub fn step(&self, text: &str, step: &str) -> Option<&Node> {
+        match &self.inner().body {
+            Body::Fields(_) => self.field(text, step),
+            Body::Items(items) => match step.parse::<usize>() {
+                Ok(index) => items.get(index),
+                Err(_) => items.iter().find(|item| item.own_name(text) == Some(step)).or_else(|| {
+                    let is_kind =
+                        |item: &&Node| item.name(text).is_some_and(|n| n.eq_ignore_ascii_case(step));
+                    let mut of_kind = items.iter().filter(is_kind);
+                    of_kind.next().filter(|_| of_kind.next().is_none())
+                }),
+            },
             Body::Map(entries) => {
-                entries.iter().find(|(key, _)| is_text(key, text, step)).map(|(_, value)| value)
+                let is_key =
+                    |key: &Node| matches!(&key.body, Body::Text(range) if &text[range.clone()] == step);
+                entries.iter().find(|(key, _)| is_key(key)).map(|(_, value)| value)
             }
             Body::Plain | Body::Text(_) => None,
         }
     }
-}
 
-fn is_text(node: &Node, text: &str, wanted: &str) -> bool {
-    matches!(&node.body, Body::Text(range) if &text[range.clone()] == wanted)
-}
-
-fn named_item<'a>(items: &'a [Node], text: &str, wanted: &str) -> Option<&'a Node> {
-    let by_name = |item: &&Node| item.field(text, "name").is_some_and(|name| is_text(name, text, wanted));
-    items.iter().find(by_name).or_else(|| {
-        let mut of_kind =
-            items.iter().filter(|i| i.name(text).is_some_and(|n| n.eq_ignore_ascii_case(wanted)));
-        of_kind.next().filter(|_| of_kind.next().is_none())
-    })
+    /// Where `path` leads, as a short range, and whether its value is in the text: else it is that of what comes nearest.
+    pub fn locate(&self, text: &str, path: &str) -> (Range<usize>, bool) {
+        let mut node = self;
+        for step in path.split('.').filter(|step| !step.is_empty()) {
+            match node.step(text, step) {
+                Some(next) => node = next,
+                None => return (node.handle(text), false),
+            }
+        }
+        (node.handle(text), true)
+    }
 }
 
 /// Reads RON text into a tree of byte ranges.
@@ -175,21 +190,18 @@ impl Parser<'_> {
         self.rest().chars().next()
     }
 
-    fn error(&self, expected: &str, open: Option<Range<usize>>) -> SyntaxError {
+    fn error(&self, expected: &str, open: Option<&Range<usize>>) -> SyntaxError {
         let width = self.peek().map_or(0, char::len_utf8);
-        SyntaxError { at: self.at..self.at + width, expected: expected.to_owned(), open }
+        SyntaxError { at: self.at..self.at + width, expected: expected.to_owned(), open: open.cloned() }
     }
 
     /// Skips white space and comments.
     fn skip_blank(&mut self) -> Result<(), SyntaxError> {
         loop {
-            let rest = self.rest();
-            let blank = rest.len() - rest.trim_start().len();
-            if blank > 0 {
-                self.at += blank;
-            } else if rest.starts_with("//") {
-                self.at += rest.find('\n').unwrap_or(rest.len());
-            } else if rest.starts_with("/*") {
+            self.take_while(char::is_whitespace);
+            if self.rest().starts_with("//") {
+                self.take_while(|c| c != '\n');
+            } else if self.rest().starts_with("/*") {
                 self.skip_block_comment()?;
             } else {
                 return Ok(());
@@ -210,7 +222,7 @@ impl Parser<'_> {
                 self.at += 2;
             } else {
                 let Some(next) = rest.chars().next() else {
-                    return Err(self.error("the comment's closing `*/`", Some(open)));
+                    return Err(self.error("the comment's closing `*/`", Some(&open)));
                 };
                 self.at += next.len_utf8();
             }
@@ -228,12 +240,21 @@ impl Parser<'_> {
         }
         let start = self.at;
         let body = match self.peek() {
-            Some('(') => self.nested(Self::group)?,
-            Some('[') => self.nested(Self::list)?,
-            Some('{') => self.nested(Self::map)?,
-            Some('"' | '\'') => self.quoted()?,
-            Some('r' | 'b') if self.starts_literal() => self.quoted()?,
-            Some(c) if c.is_alphabetic() || c == '_' => return self.named(),
+            Some('(') => self.group()?,
+            Some('[') => self.list()?,
+            Some('{') => self.map()?,
+            Some('"') => self.quoted()?,
+            Some('r') if self.starts_raw() => self.quoted()?,
+            Some(c) if c.is_alphabetic() || c == '_' => {
+                let name = self.identifier();
+                self.skip_blank()?;
+                let is_alone = self.peek() != Some('(');
+                if is_alone {
+                    self.at = name.end;
+                }
+                let body = if is_alone { Body::Plain } else { self.group()? };
+                return Ok(Node { span: start..self.at, name: Some(name), body });
+            }
             Some(c) if c.is_ascii_digit() || matches!(c, '+' | '-' | '.') => {
                 self.take_while(|c| c.is_alphanumeric() || matches!(c, '+' | '-' | '.' | '_'));
                 Body::Plain
@@ -241,18 +262,6 @@ impl Parser<'_> {
             _ => return Err(self.error("a value", None)),
         };
         Ok(Node { span: start..self.at, name: None, body })
-    }
-
-    fn named(&mut self) -> Result<Node, SyntaxError> {
-        let name = self.identifier();
-        let end = self.at;
-        self.skip_blank()?;
-        if self.peek() == Some('(') {
-            let body = self.nested(Self::group)?;
-            return Ok(Node { span: name.start..self.at, name: Some(name), body });
-        }
-        self.at = end;
-        Ok(Node { span: name.clone(), name: Some(name), body: Body::Plain })
     }
 
     fn identifier(&mut self) -> Range<usize> {
@@ -268,65 +277,57 @@ impl Parser<'_> {
         self.at += self.rest().find(|c| !keep(c)).unwrap_or(self.rest().len());
     }
 
-    fn nested(
+    /// Reads what is between the bracket here and `close`: items, each by `read`, with commas between them.
+    fn bracket(
         &mut self,
-        read: impl FnOnce(&mut Self, Range<usize>) -> Result<Body, SyntaxError>,
-    ) -> Result<Body, SyntaxError> {
+        close: char,
+        mut read: impl FnMut(&mut Self, &Range<usize>) -> Result<(), SyntaxError>,
+    ) -> Result<(), SyntaxError> {
         if self.depth == MAX_DEPTH {
             return Err(self.error("fewer brackets inside each other", None));
         }
         let open = self.at..self.at + 1;
         self.at += 1;
         self.depth += 1;
-        let body = read(self, open);
+        let mut is_separated = true;
+        loop {
+            self.skip_blank()?;
+            match self.peek() {
+                None => return Err(self.error(&format!("a closing `{close}`"), Some(&open))),
+                Some(c) if c == close => break,
+                Some(',') if !is_separated => {
+                    self.at += 1;
+                    is_separated = true;
+                }
+                Some(_) if is_separated => {
+                    read(self, &open)?;
+                    is_separated = false;
+                }
+                Some(_) => return Err(self.error(&format!("`,` or `{close}`"), Some(&open))),
+            }
+        }
+        self.at += 1;
         self.depth -= 1;
-        body
+        Ok(())
     }
 
-    /// Whether an item follows; consumes the closing bracket if not.
-    fn more(&mut self, close: char, open: &Range<usize>) -> Result<bool, SyntaxError> {
-        self.skip_blank()?;
-        match self.peek() {
-            Some(c) if c == close => {
-                self.at += 1;
-                Ok(false)
-            }
-            None => Err(self.error(&format!("a closing `{close}`"), Some(open.clone()))),
-            Some(_) => Ok(true),
-        }
-    }
-
-    /// Consumes a comma, or leaves the closing bracket to [`Self::more`].
-    fn separator(&mut self, close: char, open: &Range<usize>) -> Result<(), SyntaxError> {
-        self.skip_blank()?;
-        match self.peek() {
-            Some(',') => {
-                self.at += 1;
-                Ok(())
-            }
-            Some(c) if c == close => Ok(()),
-            None => Err(self.error(&format!("a closing `{close}`"), Some(open.clone()))),
-            Some(_) => Err(self.error(&format!("`,` or `{close}`"), Some(open.clone()))),
-        }
-    }
-
-    fn group(&mut self, open: Range<usize>) -> Result<Body, SyntaxError> {
+    fn group(&mut self) -> Result<Body, SyntaxError> {
         let (mut fields, mut items) = (Vec::new(), Vec::new());
-        while self.more(')', &open)? {
-            match self.field_name()? {
-                Some(name) if items.is_empty() => fields.push(Field { name, value: self.value()? }),
-                None if fields.is_empty() => items.push(self.value()?),
-                _ => return Err(self.error("a field name and `:` before each value", Some(open))),
+        self.bracket(')', |parser, open| {
+            match parser.field_name()? {
+                Some(name) if items.is_empty() => fields.push((name, parser.value()?)),
+                None if fields.is_empty() => items.push(parser.value()?),
+                _ => return Err(parser.error("a field name and `:` before each value", Some(open))),
             }
-            self.separator(')', &open)?;
-        }
+            Ok(())
+        })?;
         Ok(if items.is_empty() { Body::Fields(fields) } else { Body::Items(items) })
     }
 
     /// Consumes `name:` if that is what follows.
     fn field_name(&mut self) -> Result<Option<Range<usize>>, SyntaxError> {
         let start = self.at;
-        if self.peek().is_some_and(|c| c.is_alphabetic() || c == '_') && !self.starts_literal() {
+        if self.peek().is_some_and(|c| c.is_alphabetic() || c == '_') && !self.starts_raw() {
             let name = self.identifier();
             self.skip_blank()?;
             if self.peek() == Some(':') {
@@ -338,62 +339,54 @@ impl Parser<'_> {
         Ok(None)
     }
 
-    fn list(&mut self, open: Range<usize>) -> Result<Body, SyntaxError> {
+    fn list(&mut self) -> Result<Body, SyntaxError> {
         let mut items = Vec::new();
-        while self.more(']', &open)? {
-            items.push(self.value()?);
-            self.separator(']', &open)?;
-        }
+        self.bracket(']', |parser, _| {
+            items.push(parser.value()?);
+            Ok(())
+        })?;
         Ok(Body::Items(items))
     }
 
-    fn map(&mut self, open: Range<usize>) -> Result<Body, SyntaxError> {
+    fn map(&mut self) -> Result<Body, SyntaxError> {
         let mut entries = Vec::new();
-        while self.more('}', &open)? {
-            let key = self.value()?;
-            self.skip_blank()?;
-            if self.peek() != Some(':') {
-                return Err(self.error("`:` after the key", Some(open)));
+        self.bracket('}', |parser, open| {
+            let key = parser.value()?;
+            parser.skip_blank()?;
+            if parser.peek() != Some(':') {
+                return Err(parser.error("`:` after the key", Some(open)));
             }
-            self.at += 1;
-            entries.push((key, self.value()?));
-            self.separator('}', &open)?;
-        }
+            parser.at += 1;
+            entries.push((key, parser.value()?));
+            Ok(())
+        })?;
         Ok(Body::Map(entries))
     }
 
-    /// Whether a raw string (`r"`, `r#"`), byte string or byte literal follows, rather than an identifier.
-    fn starts_literal(&self) -> bool {
-        let after_b = self.rest().strip_prefix('b').unwrap_or(self.rest());
-        let raw = after_b.strip_prefix('r').is_some_and(|r| r.trim_start_matches('#').starts_with('"'));
-        raw || (after_b.len() < self.rest().len() && after_b.starts_with(['"', '\'']))
+    /// Whether a raw string (`r"`, `r#"`) follows, rather than an identifier.
+    fn starts_raw(&self) -> bool {
+        self.rest().strip_prefix('r').is_some_and(|rest| rest.trim_start_matches('#').starts_with('"'))
     }
 
     fn quoted(&mut self) -> Result<Body, SyntaxError> {
         let start = self.at;
-        let raw = {
-            let prefix = self.rest().trim_start_matches('b');
-            prefix.starts_with('r')
-        };
-        self.take_while(|c| c == 'b' || c == 'r');
-        let hashes = self.rest().len() - self.rest().trim_start_matches('#').len();
-        self.at += hashes;
-        let quote = self.peek().unwrap_or('"');
+        self.take_while(|c| c != '"');
+        let is_raw = self.at > start;
+        let close = format!("\"{}", "#".repeat((self.at - start).saturating_sub(1)));
         self.at += 1;
         let content = self.at;
-        let close = format!("{quote}{}", "#".repeat(hashes));
         while !self.rest().starts_with(&close) {
-            if !raw && self.rest().starts_with('\\') {
+            if !is_raw && self.rest().starts_with('\\') {
                 self.at += 1;
             }
             let Some(next) = self.peek() else {
-                return Err(self.error(&format!("a closing `{close}`"), Some(start..content)));
+                return Err(self.error(&format!("a closing `{close}`"), Some(&(start..content))));
             };
             self.at += next.len_utf8();
         }
         let inside = content..self.at;
         self.at += close.len();
-        Ok(if quote == '"' { Body::Text(inside) } else { Body::Plain })
+        Ok(Body::Text(inside))
     }
 }
 

@@ -1,36 +1,7 @@
-//! Where each value of a scene file stands in its text.
-//!
-//! RON text is read into a light tree of byte ranges, with no types. It serves two ends: the caret of an error
-//! about a value (`material.specular.roughness`), and `--set path=value`, which replaces a value's text before
-//! the file is read as usual.
-//!
-//! A path is a list of steps joined by dots. A step is a field's name, an index of a list or tuple, the `name`
-//! of a list's item, or (where no item has that name) the only item of that kind: `passes.novel.render.exposure`,
-//! `passes.fit.rates.light`. Wrappers such as `Fixed(Map(scale: 2))` are looked through: `light.scale`.
+//! `--set path=value` on the text of a scene file, and the values of a scene file of any version by their paths.
 
 use crate::scene::ron_tree::{Body, Node, parse};
 use std::ops::Range;
-
-/// Where a path leads.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Location {
-    /// Bytes of the value; of what comes nearest if the path leads to nothing in the text.
-    pub span: Range<usize>,
-    /// Whether the value itself is in the text.
-    pub exact: bool,
-}
-
-/// Finds where `path` stands; an empty path is the whole value.
-pub(crate) fn locate(root: &Node, text: &str, path: &str) -> Location {
-    let mut node = root;
-    for step in path.split('.').filter(|step| !step.is_empty()) {
-        match node.step(text, step) {
-            Some(next) => node = next,
-            None => return Location { span: node.handle(text), exact: false },
-        }
-    }
-    Location { span: node.handle(text), exact: true }
-}
 
 /// Replaces the value at `path` by `value`, or inserts it where its struct lacks the field.
 ///
@@ -41,11 +12,9 @@ pub(crate) fn locate(root: &Node, text: &str, path: &str) -> Location {
 pub fn set(text: &str, path: &str, value: &str) -> Result<String, (String, String)> {
     let root = parse(text).map_err(|_| ("the scene file is not valid RON".to_owned(), String::new()))?;
     let steps: Vec<&str> = path.split('.').collect();
-    if path.is_empty() || steps.iter().any(|step| step.is_empty()) {
-        return Err((
-            format!("`{path}` is not a path"),
-            "Join names by dots, e.g. `passes.fit.steps=4`.".to_owned(),
-        ));
+    if steps.contains(&"") {
+        let help = "Join names by dots, e.g. `passes.fit.steps=4`.";
+        return Err((format!("`{path}` is not a path"), help.to_owned()));
     }
     let mut node = &root;
     for (depth, step) in steps.iter().enumerate() {
@@ -54,25 +23,20 @@ pub fn set(text: &str, path: &str, value: &str) -> Result<String, (String, Strin
             None => return insert(text, node.inner(), &steps, depth, value),
         }
     }
-    let value = match &node.body {
-        Body::Text(_) if !value.trim_start().starts_with(['"', 'r']) => format!("{value:?}"),
-        Body::Text(_) if parse(value).is_err() => format!("{value:?}"),
-        _ => checked(value)?.to_owned(),
-    };
+    let is_text = matches!(node.body, Body::Text(_));
+    let is_quoted = value.trim_start().starts_with(['"', 'r']) && parse(value).is_ok();
+    let value = if is_text && !is_quoted { format!("{value:?}") } else { checked(value)?.to_owned() };
     Ok(splice(text, node.span.clone(), &value))
 }
 
 fn checked(value: &str) -> Result<&str, (String, String)> {
-    match parse(value) {
-        Ok(_) => Ok(value),
-        Err(error) => Err((
-            format!("`{value}` is not a RON value: expected {}", error.expected),
-            "Examples: 0.25, \"text\" (quoted, also for the shell: --set 'name=\"text\"'), (0.8, 0.1, 0.1), Fixed(0.3)."
-                .to_owned(),
-        )),
-    }
+    let help = "Examples: 0.25, \"text\" (quoted, also for the shell: --set 'name=\"text\"'), (0.8, 0.1, 0.1), Fixed(0.3).";
+    parse(value).map(|_| value).map_err(|error| {
+        (format!("`{value}` is not a RON value: expected {}", error.expected), help.to_owned())
+    })
 }
 
+/// Inserts the value of a path of which `node` has the first `depth` steps.
 fn insert(
     text: &str,
     node: &Node,
@@ -80,41 +44,38 @@ fn insert(
     depth: usize,
     value: &str,
 ) -> Result<String, (String, String)> {
-    let here = if depth == 0 { "the scene".to_owned() } else { format!("`{}`", steps[..depth].join(".")) };
-    let is_name = |step: &&str| step.starts_with(|c: char| c.is_alphabetic() || c == '_');
-    let Body::Fields(fields) = &node.body else {
-        return Err((format!("{here} has no `{}`", steps[depth]), what_is_there(text, node)));
+    let is_name = |step: &str| step.starts_with(|c: char| c.is_alphabetic() || c == '_');
+    let missing = match &node.body {
+        Body::Fields(_) => steps[depth..].iter().find(|step| !is_name(step)),
+        _ => Some(&steps[depth]),
     };
-    if let Some(step) = steps[depth..].iter().find(|step| !is_name(step)) {
-        return Err((format!("{here} has no `{step}`"), what_is_there(text, node)));
+    if let Some(missing) = missing {
+        let here =
+            if depth == 0 { "the scene".to_owned() } else { format!("`{}`", steps[..depth].join(".")) };
+        return Err((format!("{here} has no `{missing}`"), what_is_there(text, node)));
     }
-    let (last, outer) = (steps.len() - 1, &steps[depth..]);
-    let mut inserted = format!("{}: {}", steps[last], checked(value)?);
-    for step in outer[..outer.len() - 1].iter().rev() {
-        inserted = format!("{step}: ({inserted})");
-    }
-    match fields.last() {
-        Some(field) => {
-            let end = field.value.span.end;
+    let [outer @ .., last] = &steps[depth..] else { return Ok(text.to_owned()) };
+    let last = format!("{last}: {}", checked(value)?);
+    let inserted = outer.iter().rev().fold(last, |inside, step| format!("{step}: ({inside})"));
+    match &node.body {
+        Body::Fields(fields) if !fields.is_empty() => {
+            let end = fields[fields.len() - 1].1.span.end;
             Ok(splice(text, end..end, &format!(", {inserted}")))
         }
-        None => Ok(splice(text, node.span.end - 1..node.span.end - 1, &inserted)),
+        _ => Ok(splice(text, node.span.end - 1..node.span.end - 1, &inserted)),
     }
 }
 
 fn what_is_there(text: &str, node: &Node) -> String {
     match &node.body {
+        Body::Items(items) if items.is_empty() => "The list is empty.".to_owned(),
         Body::Items(items) => {
-            let name = |item: &Node| match item.field(text, "name").map(|name| &name.body) {
-                Some(Body::Text(range)) => Some(text[range.clone()].to_owned()),
-                _ if item.body == Body::Plain => None,
-                _ => item.name(text).map(str::to_ascii_lowercase),
-            };
-            let names: Vec<String> = items.iter().filter_map(name).collect();
-            match (items.len(), names.is_empty()) {
-                (0, _) => "The list is empty.".to_owned(),
-                (n, true) => format!("It has items 0 to {}.", n - 1),
-                (_, false) => format!("It has: {}.", names.join(", ")),
+            let is_plain = |item: &Node| item.body == Body::Plain;
+            let names: Vec<String> =
+                items.iter().filter(|item| !is_plain(item)).filter_map(|item| label(item, text)).collect();
+            match names.is_empty() {
+                true => format!("It has items 0 to {}.", items.len() - 1),
+                false => format!("It has: {}.", names.join(", ")),
             }
         }
         Body::Plain | Body::Text(_) => format!("It is `{}`, which has no parts.", &text[node.span.clone()]),
@@ -122,8 +83,64 @@ fn what_is_there(text: &str, node: &Node) -> String {
     }
 }
 
+/// The name of a list's item, else its kind: how a path calls it, if no other is called so.
+fn label(item: &Node, text: &str) -> Option<String> {
+    let kind = || item.name(text).map(str::to_ascii_lowercase);
+    item.own_name(text).map(str::to_owned).or_else(kind)
+}
+
 fn splice(text: &str, range: Range<usize>, new: &str) -> String {
     format!("{}{new}{}", &text[..range.start], &text[range.end..])
+}
+
+/// The values in the text with their paths, as `--set` writes these; nothing if it is not RON. Only what the text says is there: defaults are
+/// not. A list of numbers is one value.
+pub fn fields(text: &str) -> Vec<(String, String)> {
+    let mut found = Vec::new();
+    if let Ok(root) = parse(text) {
+        walk(&root, text, "", &mut found);
+    }
+    found
+}
+
+fn walk(node: &Node, text: &str, path: &str, found: &mut Vec<(String, String)>) {
+    let joined = |step: &str| if path.is_empty() { step.to_owned() } else { format!("{path}.{step}") };
+    let is_plain = |node: &Node| matches!(node.body, Body::Plain | Body::Text(_));
+    let inner = node.inner();
+    match &inner.body {
+        Body::Fields(fields) => {
+            let named = kinds(node, inner, text);
+            if !named.is_empty() && !path.is_empty() {
+                found.push((path.to_owned(), named));
+            }
+            for (name, value) in fields {
+                walk(value, text, &joined(&text[name.clone()]), found);
+            }
+        }
+        Body::Items(items) if inner.name.is_none() && !items.iter().all(is_plain) => {
+            let labels: Vec<Option<String>> = items.iter().map(|item| label(item, text)).collect();
+            for (i, item) in items.iter().enumerate() {
+                let is_only = labels.iter().filter(|label| **label == labels[i]).count() == 1;
+                let step = labels[i].clone().filter(|_| is_only).unwrap_or_else(|| i.to_string());
+                walk(item, text, &joined(&step), found);
+            }
+        }
+        _ => {
+            let words: Vec<&str> = text[node.span.clone()].split_whitespace().collect();
+            found.push((path.to_owned(), words.join(" ")));
+        }
+    }
+}
+
+/// The names of wrappers from `node` to `inner`: "Fixed(Map)".
+fn kinds(node: &Node, inner: &Node, text: &str) -> String {
+    let own = node.name(text).unwrap_or_default();
+    match &node.body {
+        Body::Items(items) if !std::ptr::eq(node, inner) => {
+            format!("{own}({})", kinds(&items[0], inner, text))
+        }
+        _ => own.to_owned(),
+    }
 }
 
 #[cfg(test)]
@@ -136,7 +153,7 @@ Scene(
     version: 1, /* nested /* ( */ comment */
     light: Fixed(Map(path: "a \"b\" ) c", scale: 2.0)),
     material: (specular: (roughness: Unknown(initial: 0.4))),
-    odd: (r#"raw " ) string"#, 'x', '\'', b"by\"te", -1.5e-3, true),
+    odd: (r#"raw " ) string"#, "by\"te", -1.5e-3, true),
     passes: [
         Fit(steps: 3),
         Render(name: "novel", render: ()),
@@ -147,8 +164,8 @@ Scene(
 "##;
 
     fn at(path: &str) -> (String, bool) {
-        let found = locate(&parse(TEXT).unwrap(), TEXT, path);
-        (TEXT[found.span].to_owned(), found.exact)
+        let (span, is_exact) = parse(TEXT).unwrap().locate(TEXT, path);
+        (TEXT[span].to_owned(), is_exact)
     }
 
     #[test]
@@ -158,7 +175,7 @@ Scene(
         assert_eq!(at("light.path"), (r#""a \"b\" ) c""#.into(), true));
         assert_eq!(at("material.specular.roughness.initial"), ("0.4".into(), true));
         assert_eq!(at("odd.0"), (r##"r#"raw " ) string"#"##.into(), true));
-        assert_eq!(at("odd.4"), ("-1.5e-3".into(), true));
+        assert_eq!(at("odd.2"), ("-1.5e-3".into(), true));
         assert_eq!(at("passes.fit.steps"), ("3".into(), true));
         assert_eq!(at("passes.2.render.exposure"), ("0.5".into(), true));
         assert_eq!(at("passes.orbit.render.exposure"), ("0.5".into(), true));
@@ -179,9 +196,7 @@ Scene(
         let check = |path: &str, value: &str, has: &str| {
             let new = set(TEXT, path, value).unwrap();
             assert!(new.contains(has), "{new}");
-            parse(&new).unwrap();
-            let found = locate(&parse(&new).unwrap(), &new, path);
-            assert!(found.exact);
+            assert!(parse(&new).unwrap().locate(&new, path).1);
         };
         check("version", "2", "version: 2, /*");
         check("light.path", "b.exr", r#"Map(path: "b.exr", scale"#);
@@ -198,9 +213,50 @@ Scene(
         let refused = |path: &str, value: &str| set(TEXT, path, value).unwrap_err();
         assert!(refused("passes.missing.name", "1").1.contains("fit, novel, orbit"));
         assert!(refused("version.major", "1").1.contains("`1`"));
-        assert!(refused("odd.9", "1").1.contains("0 to 5"));
+        assert!(refused("odd.9", "1").1.contains("0 to 3"));
         assert!(refused("version", "(1").0.contains("closing `)`"));
         assert!(refused("version", "1, seed: 2").0.contains("not a RON value"));
         assert!(refused("", "1").0.contains("not a path"));
+    }
+
+    #[test]
+    fn values_have_the_paths_of_set() {
+        let text = r#"// a scene
+Scene(
+    version: 1,
+    surface: Sphere(radius: 0.9),
+    light: Fixed(Map(path: "sky.exr", scale: 4)),
+    material: (specular: (albedo: Fixed(0.3,
+        0.2, 0.1))),
+    passes: [
+        Fit(steps: 5),
+        Render(name: "novel", render: (views: Named(["a", "b"]))),
+        Save(), Save(),
+    ],
+)"#;
+        let found: Vec<String> =
+            fields(text).iter().map(|(path, value)| format!("{path} = {value}")).collect();
+        let expected = [
+            "version = 1",
+            "surface = Sphere",
+            "surface.radius = 0.9",
+            "light = Fixed(Map)",
+            "light.path = \"sky.exr\"",
+            "light.scale = 4",
+            "material.specular.albedo = Fixed(0.3, 0.2, 0.1)",
+            "passes.fit = Fit",
+            "passes.fit.steps = 5",
+            "passes.novel = Render",
+            "passes.novel.name = \"novel\"",
+            "passes.novel.render.views = Named([\"a\", \"b\"])",
+            "passes.2 = Save",
+            "passes.3 = Save",
+        ];
+        assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn what_is_not_ron_has_no_values() {
+        assert!(fields("Scene(").is_empty() && fields("").is_empty());
     }
 }

@@ -1,13 +1,13 @@
-//! What a scene file says about the views: photographs on disk, or cameras alone.
+//! The views: photographs on disk, cameras alone, or photographs that the project takes itself.
 
-use crate::codec::image::Gamma;
-use crate::dataset::Layout;
-use crate::dataset::priors::Priors;
-use crate::scene::defaults::{fov_degrees, y_axis};
-use crate::scene::light::LightSource;
-use crate::scene::photographed::Photographed;
-use crate::view::Split;
+use crate::scene::description::{LightSource, fov_degrees, number, one, y_axis};
+use crate::scene::render::Edit;
 use glam::Vec3;
+use lobelia_geometry::view::Split;
+use lobelia_io::codec::image::Gamma;
+use lobelia_io::dataset::{Layout, Priors};
+use lobelia_world::light::light_frame::LightFrame;
+use lobelia_world::material::SpecularLobe;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -23,7 +23,7 @@ pub enum Views {
 }
 
 impl Views {
-    /// What lights the groups of photographs after the first: `Own` or `Fixed`.
+    /// Returns the lights of the groups of photographs after the first: `Own` or `Fixed`.
     pub fn other_lights(&self) -> Vec<PlacementLight> {
         match self {
             Self::Dataset(data) => {
@@ -65,19 +65,20 @@ pub struct Dataset {
     #[serde(default = "one")]
     pub focal_scale: f32,
     /// Images are shrunk by this whole factor ≥ 1 (box filter). Default 1.
-    #[serde(default = "one_u32")]
+    #[serde(default = "number::<1>")]
     pub downscale: u32,
     /// Keep every n-th view of each split, n ≥ 1, starting with the first. Default 1.
-    #[serde(default = "one_u32")]
+    #[serde(default = "number::<1>")]
     pub every: u32,
     /// Where the data has no test split of its own (COLMAP, say), every n-th view by name is one of it, n ≥ 2, starting with the
     /// first; 0: there is none. Default 8.
-    #[serde(default = "held_out")]
+    #[serde(default = "number::<8>")]
     pub hold_out: u32,
     /// Keep only the views with these names (image file stems); empty: all. Default [].
     #[serde(default)]
     pub select: Vec<String>,
-    /// What is known of the surface from elsewhere, as pictures of the user's own for the training photographs: albedo, normals. Default: nothing.
+    /// The user's own pictures of the surface for the training photographs: albedo, normals.
+    /// Default: nothing.
     #[serde(default)]
     pub priors: Priors,
     /// How the object lay, or what light it was in, where that changed between rounds of photographs; fewer than two: it was the same in all. Default [].
@@ -105,7 +106,7 @@ pub struct PlacementSpec {
 /// The light on the photographs of a placement.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum PlacementLight {
-    /// That of the first placement: the same room, at the same time.
+    /// The light of the first placement: the same room, at the same time.
     #[default]
     Same,
     /// Another room or another day: a light of its own, which a fit finds as it does the scene's `light`.
@@ -122,7 +123,7 @@ pub struct CameraSpec {
     pub name: String,
     /// Where the camera stands.
     pub eye: Vec3,
-    /// What it looks at. Default (0, 0, 0).
+    /// Point that it looks at. Default (0, 0, 0).
     #[serde(default)]
     pub target: Vec3,
     /// Which direction is up in the image. Default (0, 1, 0).
@@ -132,32 +133,128 @@ pub struct CameraSpec {
     #[serde(default = "fov_degrees")]
     pub fov_degrees: f32,
     /// Image width in pixels, 1 to 16384. Default 256.
-    #[serde(default = "image_size")]
+    #[serde(default = "number::<256>")]
     pub width: u32,
     /// Image height in pixels, 1 to 16384. Default 256.
-    #[serde(default = "image_size")]
+    #[serde(default = "number::<256>")]
     pub height: u32,
     /// The split this view belongs to. Default `Test`.
     #[serde(default = "test_split")]
     pub split: Split,
 }
 
-fn one() -> f32 {
-    1.0
-}
-
-fn one_u32() -> u32 {
-    1
-}
-
-fn held_out() -> u32 {
-    8
-}
-
-fn image_size() -> u32 {
-    256
-}
-
 fn test_split() -> Split {
     Split::Test
+}
+
+/// Photographs that the project takes itself: the scene's surface, with a known material, under a known light, path traced.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Photographed {
+    /// The cameras around the object.
+    #[serde(default)]
+    pub cameras: CameraRing,
+    /// Paths per pixel, 1 to 65536. Default 64.
+    #[serde(default = "number::<64>")]
+    pub spp: u32,
+    /// Most surface hits of a path, 1 to 64. Default 4.
+    #[serde(default = "number::<4>")]
+    pub max_bounces: u32,
+    /// The photographed material and light. The fit is not told.
+    pub truth: TruthObject,
+}
+
+/// Cameras spread evenly over a sphere around a target, all looking at it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CameraRing {
+    /// Training views ≥ 1. Default 24.
+    pub count: u32,
+    /// Test views, placed between the training views. Default 4.
+    pub test: u32,
+    /// Point that the cameras look at. Default (0, 0, 0).
+    pub target: Vec3,
+    /// Distance from the target > 0. Default 2.8.
+    pub radius: f32,
+    /// Field of view in degrees, 0.001 to 170. Default 38.
+    pub fov_degrees: f32,
+    /// Image width and height in pixels, 1 to 16384. Default 96.
+    pub size: u32,
+}
+
+impl Default for CameraRing {
+    fn default() -> Self {
+        Self { count: 24, test: 4, target: Vec3::ZERO, radius: 2.8, fov_degrees: fov_degrees(), size: 96 }
+    }
+}
+
+/// The true material and light of self-made photographs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TruthObject {
+    /// Diffuse albedo over the surface.
+    pub albedo: Pattern,
+    /// Specular albedo in [0, 1], roughness in [0.03, 1] and, if not the paper's, `ndf`: `(albedo: (…), roughness: 0.25, ndf: Ggx)`.
+    pub specular: SpecularLobe,
+    /// The light.
+    pub light: LightSource,
+    /// The frame in which it stands still, as `light_frame` of the scene. Default `World`.
+    #[serde(default)]
+    pub light_frame: LightFrame,
+    /// How the object is turned for each further round of photographs, as `turned_degrees` of `placements` of a data set; views are of the
+    /// rounds in turn. The fit is told which, and not how the object is turned. Default [].
+    #[serde(default)]
+    pub placements: Vec<Vec3>,
+    /// Lights of further rounds of photographs, after those of `placements`: another room, or another day. The fit is told which photographs are of which. Default [].
+    #[serde(default)]
+    pub other_lights: Vec<LightSource>,
+    /// Further changes of the material: regions of other color or gloss. Default [].
+    #[serde(default)]
+    pub edits: Vec<Edit>,
+}
+
+impl TruthObject {
+    /// Rounds of photographs.
+    pub fn rounds(&self) -> usize {
+        1 + self.placements.len() + self.other_lights.len()
+    }
+}
+
+/// A diffuse albedo that varies with the position in space. Colors are in [0, 1].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Pattern {
+    /// One albedo everywhere: `Constant(0.5, 0.5, 0.5)`.
+    Constant(Vec3),
+    /// Cubes of two alternating colors.
+    Checker {
+        /// The two colors.
+        colors: (Vec3, Vec3),
+        /// Edge length of a cube > 0. Default 0.3.
+        #[serde(default = "pattern_size")]
+        size: f32,
+    },
+    /// Slabs whose colors repeat.
+    Stripes {
+        /// The colors in order, at least one.
+        colors: Vec<Vec3>,
+        /// The direction across the slabs, not zero. Default (0, 1, 0).
+        #[serde(default = "y_axis")]
+        axis: Vec3,
+        /// Thickness of a slab > 0. Default 0.3.
+        #[serde(default = "pattern_size")]
+        width: f32,
+    },
+    /// Smooth waves in space that blend between two colors.
+    Waves {
+        /// The two colors.
+        colors: (Vec3, Vec3),
+        /// Wavelength > 0. Default 0.3.
+        #[serde(default = "pattern_size")]
+        size: f32,
+    },
+}
+
+fn pattern_size() -> f32 {
+    0.3
 }

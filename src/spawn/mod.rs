@@ -1,37 +1,38 @@
 //! From a scene to a world: the surface, the views, the light and the material as resources and entities.
 
-mod light;
-pub mod light_file;
-mod material;
-mod surface;
+pub mod light;
 
 pub use light::{LoadedLight, initial_lobes, load_light};
-pub use material::several_materials;
-pub(crate) use material::{initial_specular, insert_known_along};
-pub use surface::{SurfaceUse, make_surface};
 
-use crate::error::Result;
-use crate::fit::components::Unknowns;
-use crate::fit::priors::{NormalMapPlugin, NormalWeight};
-use crate::light::LightLobe;
-use crate::light::groups::spawn_group_lights;
-use crate::light::light_frame::OwnLightFrame;
-use crate::light::lights::LightMap;
-use crate::light::placement::{LightGroup, PlacementTurn, Placements, TurnSource};
-use crate::material::{DiffuseSheen, DiffuseTilt};
-use crate::material::{SpecularBlend, SpecularLobe, spawn_materials, spawn_texels};
-use crate::mesh::Surface;
-use crate::pipeline::Pipeline;
-use crate::sample::point::Scenery;
 use crate::scene::{
-    Albedo, Gloss, Light, Material, PlacementLight, PlacementSpec, Roughness, Scene, Sheen, SpecularAlbedo,
-    Views,
+    Albedo, AlbedoSource, Gloss, Light, MIN_ROUGHNESS, Material, PlacementLight, PlacementSpec, Roughness,
+    Scene, Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt, Views,
 };
-use crate::spawn::light_file::rotation;
-use crate::view::{AlbedoMap, NormalMap, ViewIndex, ViewMask, ViewName, ViewRecord};
+use crate::spawn::light::rotation;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
-use material::{initial_albedo, initial_gloss, initial_sheen, initial_tilt, own_material};
+use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
+use lobelia_geometry::mesh::{Surface, atlas::unwrap_mesh};
+use lobelia_geometry::view::{Split, ViewRecord, spawn_views};
+use lobelia_io::codec::{gltf::import::read_mesh_with_report, gltf::material::read_material, texture};
+use lobelia_sg::brdf::Ndf;
+use lobelia_solve::fit::components::Unknowns;
+use lobelia_solve::fit::priors::{NormalMapPlugin, NormalWeight};
+use lobelia_solve::fit::roughness::{BASE_ROUGHNESSES, TexelRoughness};
+use lobelia_solve::shape::{
+    hull::{check_hull, extract_parts, visual_hull},
+    silhouette::Silhouette,
+};
+use lobelia_world::light::placement::{LightGroup, PlacementTurn, Placements, TurnSource};
+use lobelia_world::light::{groups::spawn_group_lights, light_frame::OwnLightFrame, lights::LightMap};
+use lobelia_world::material::{
+    DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, USUAL_ALBEDO, sheen::KnownAlong, spawn_materials,
+    spawn_texels, tilt::MOST_TILT,
+};
+use lobelia_world::pipeline::Pipeline;
+use lobelia_world::sample::point::Scenery;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Puts the scene into the pipeline's world: surface, views, light lobes, texels, the specular lobe, and what is unknown.
@@ -56,8 +57,10 @@ pub fn spawn(
         }
     };
     let (specular, blends) = initial_gloss(&scene.material.gloss, specular, surface)?;
-    if let Some(weight) = normal_weight(scene) {
-        pipeline.add_plugin(&NormalMapPlugin(weight));
+    if let Views::Dataset(data) = &scene.views
+        && let Some(prior) = &data.priors.normals
+    {
+        pipeline.add_plugin(&NormalMapPlugin(NormalWeight(prior.weight)));
     }
     let world = &mut pipeline.world;
     world.insert_resource(Scenery(surface.clone()));
@@ -66,7 +69,12 @@ pub fn spawn(
     world.insert_resource(OwnLightFrame(scene.light_frame.frame(&scene.light).unwrap_or_default()));
     world.insert_resource(placements(scene));
     world.spawn_batch(lobes.clone());
-    spawn_other_lights(world, &lobes, others);
+    // Lights of further groups of photographs that are not known begin as the scene's own does.
+    let other = |light: &Option<LoadedLight>| match light {
+        Some(light) => (light.lobes.clone(), light.map.clone()),
+        None => (lobes.clone(), None),
+    };
+    spawn_group_lights(world, &others.iter().map(other).collect::<Vec<_>>());
     if let Some(map) = light.and_then(|light| light.map.clone()) {
         world.spawn(LightMap(map));
     }
@@ -78,16 +86,7 @@ pub fn spawn(
     Ok(())
 }
 
-/// Spawns the lights of further groups of photographs; those that are not known begin as the scene's own does, with these lobes.
-fn spawn_other_lights(world: &mut World, lobes: &[LightLobe], others: &[Option<LoadedLight>]) {
-    let other = |light: &Option<LoadedLight>| match light {
-        Some(light) => (light.lobes.clone(), light.map.clone()),
-        None => (lobes.to_vec(), None),
-    };
-    spawn_group_lights(world, &others.iter().map(other).collect::<Vec<_>>());
-}
-
-/// What the scene says of how the object lies in each placement, and whose light is there.
+/// Returns the turn of the object in each placement as the scene says it, and whose light is there.
 fn placements(scene: &Scene) -> Placements {
     let mut groups = (1..).map(LightGroup);
     let mut turn = |spec: &PlacementSpec| {
@@ -117,51 +116,7 @@ fn placements(scene: &Scene) -> Placements {
     Placements(turns)
 }
 
-/// The weight of the scene's maps of normals, if it has some.
-fn normal_weight(scene: &Scene) -> Option<NormalWeight> {
-    let Views::Dataset(data) = &scene.views else { return None };
-    data.priors.normals.as_ref().map(|prior| NormalWeight(prior.weight))
-}
-
-/// Spawns views, numbered on from those that are there.
-pub fn spawn_views(world: &mut World, views: Vec<ViewRecord>) {
-    let next = world.query::<&ViewIndex>().iter(world).map(|index| index.0 + 1).max().unwrap_or(0);
-    for (view, index) in views.into_iter().zip(next..) {
-        let mut entity =
-            world.spawn((ViewIndex(index), ViewName(view.name), view.camera, view.split, view.placement));
-        if let Some(photograph) = view.photograph {
-            entity.insert(photograph);
-        }
-        if let Some(mask) = view.mask {
-            entity.insert(ViewMask(mask));
-        }
-        if let Some(albedo) = view.priors.albedo {
-            entity.insert(AlbedoMap(albedo));
-        }
-        if let Some(normals) = view.priors.normals {
-            entity.insert(NormalMap(normals));
-        }
-    }
-}
-
-/// Spawns an object: its surface, the albedo of each texel of the surface's atlas, base materials with the numbers 0, 1, … (texels show
-/// the first), and the lobes of its light.
-pub fn spawn_object(
-    world: &mut World,
-    surface: &Arc<Surface>,
-    albedo: &[Vec3],
-    materials: &[SpecularLobe],
-    light: &[LightLobe],
-) {
-    world.insert_resource(Scenery(surface.clone()));
-    let count = albedo.len();
-    let (sheen, tilt) = (vec![DiffuseSheen::default(); count], vec![DiffuseTilt::default(); count]);
-    spawn_texels(world, albedo, &sheen, &tilt, &vec![SpecularBlend::default(); count]);
-    spawn_materials(world, materials);
-    world.spawn_batch(light.to_vec());
-}
-
-/// What a fit of this scene may move.
+/// Returns the unknowns that a fit of this scene may move.
 pub fn unknowns(scene: &Scene) -> Unknowns {
     let Material { albedo, sheen, specular, gloss, .. } = &scene.material;
     let open = scene.own_material().is_none();
@@ -178,4 +133,200 @@ pub fn unknowns(scene: &Scene) -> Unknowns {
             && !matches!(gloss, Gloss::Texels { .. })
             && matches!(specular.roughness, Roughness::Unknown { .. }),
     }
+}
+
+/// Albedo and roughness from which the base materials start that a fit may choose instead of one: what may be metal (between [metal and dielectrics](lobelia_solve::fit::metal)), and a dielectric.
+const METAL: (f32, f32) = (0.3, 0.25);
+const DIELECTRIC: (f32, f32) = (0.04, 0.5);
+
+/// The roughest base material at first, over the least rough.
+const ROUGHNESS_SPREAD: f32 = 2.5;
+
+/// The base materials and each texel's blend of them, starting from the lobe `specular`.
+fn initial_gloss(
+    gloss: &Gloss,
+    specular: SpecularLobe,
+    surface: &Surface,
+) -> Result<(Vec<SpecularLobe>, Vec<SpecularBlend>)> {
+    let (width, height) = (surface.atlas().width, surface.atlas().height);
+    let count = (width * height) as usize;
+    match gloss {
+        Gloss::Auto | Gloss::One => Ok((vec![specular], vec![SpecularBlend::default(); count])),
+        Gloss::Blend { materials } => {
+            // With roughnesses spread around that of `specular`.
+            let place = |k: u32| k as f32 / (materials - 1) as f32 - 0.5;
+            let roughness =
+                |k| (specular.roughness * ROUGHNESS_SPREAD.powf(place(k))).clamp(MIN_ROUGHNESS, 1.0);
+            let lobes = (0..*materials).map(|k| SpecularLobe { roughness: roughness(k), ..specular });
+            Ok((lobes.collect(), vec![SpecularBlend::even(*materials as usize); count]))
+        }
+        Gloss::Texels { specular: varied, .. } => {
+            let lobes = BASE_ROUGHNESSES.map(|roughness| SpecularLobe { roughness, ..specular });
+            let blend = SpecularBlend(TexelRoughness::first(specular.roughness, *varied).weights());
+            Ok((lobes.to_vec(), vec![blend; count]))
+        }
+        Gloss::Fixed { lobes, weights } => {
+            Ok((lobes.clone(), texture::read_weights(weights, lobes.len(), width, height)?))
+        }
+    }
+}
+
+/// The base materials that a fit may choose instead of one ([`Gloss::Auto`]), and the blend that it starts with: see [`metal`](lobelia_solve::fit::metal).
+pub fn several_materials() -> (Vec<SpecularLobe>, SpecularBlend) {
+    let lobe = |(albedo, roughness)| SpecularLobe {
+        ndf: Ndf::Ggx,
+        ..SpecularLobe::new(Vec3::splat(albedo), roughness)
+    };
+    (vec![lobe(METAL), lobe(DIELECTRIC)], SpecularBlend::even(2))
+}
+
+/// Puts what is known of the albedo along this surface into the world.
+pub(crate) fn insert_known_along(world: &mut World, sheen: &Sheen, surface: &Surface) -> Result<()> {
+    match sheen {
+        Sheen::Auto | Sheen::None | Sheen::Unknown => drop(world.remove_resource::<KnownAlong>()),
+        Sheen::Fixed(AlbedoSource::Constant(color)) => world.insert_resource(KnownAlong::Everywhere(*color)),
+        Sheen::Fixed(source) => {
+            world.insert_resource(KnownAlong::Texels(given_albedo(source, surface)?));
+        }
+    }
+    Ok(())
+}
+
+/// The sheen of each texel that a fit starts from, or the known one, beside this albedo.
+fn initial_sheen(world: &World, albedo: &[Vec3]) -> Vec<DiffuseSheen> {
+    let known = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(albedo));
+    known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()])
+}
+
+/// The tilt of each texel: none, or the known one.
+fn initial_tilt(tilt: &Tilt, surface: &Surface) -> Result<Vec<DiffuseTilt>> {
+    let (width, height) = (surface.atlas().width, surface.atlas().height);
+    let Tilt::Fixed(path) = tilt else {
+        return Ok(vec![DiffuseTilt::default(); (width * height) as usize]);
+    };
+    let known = texture::read_vectors(path, ["X", "Y", "Z"], width, height)?;
+    Ok(known.into_iter().map(|tilt| DiffuseTilt(tilt.clamp_length_max(MOST_TILT))).collect())
+}
+
+/// The albedo of each texel that a fit starts from, or the known one.
+fn initial_albedo(albedo: &Albedo, surface: &Surface) -> Result<Vec<Vec3>> {
+    match albedo {
+        Albedo::Unknown => given_albedo(&AlbedoSource::Constant(Vec3::splat(USUAL_ALBEDO)), surface),
+        Albedo::Initial(source) | Albedo::Fixed(source) => given_albedo(source, surface),
+    }
+}
+
+fn given_albedo(source: &AlbedoSource, surface: &Surface) -> Result<Vec<Vec3>> {
+    let (width, height) = (surface.atlas().width, surface.atlas().height);
+    match source {
+        AlbedoSource::Constant(color) => Ok(vec![*color; (width * height) as usize]),
+        AlbedoSource::Texture(path) => texture::read_texture(path, width, height),
+    }
+}
+
+/// Specular albedo and roughness that a fit starts from where nothing else is said.
+const START: (f32, f32) = (0.3, 0.4);
+
+/// The lobe that a fit starts from, or the known one.
+pub(crate) fn initial_specular(specular: &Specular) -> SpecularLobe {
+    SpecularLobe {
+        albedo: match specular.albedo {
+            SpecularAlbedo::Unknown { mono: true, initial: Some(initial) } => {
+                Vec3::splat(initial.element_sum() / 3.0)
+            }
+            SpecularAlbedo::Unknown { initial, .. } => initial.unwrap_or(Vec3::splat(START.0)),
+            SpecularAlbedo::Fixed(value) => value,
+        },
+        roughness: match specular.roughness {
+            Roughness::Unknown { initial } => initial.unwrap_or(START.1),
+            Roughness::Fixed(value) => value,
+        },
+        ndf: specular.ndf.first(),
+    }
+}
+
+/// The material of a mesh file, with what glTF's lobe leaves of the base color as albedo.
+fn own_material(path: &Path, surface: &Surface) -> Result<(Vec<Vec3>, SpecularLobe)> {
+    let material = read_material(path)?;
+    let roughness = material.roughness.clamp(MIN_ROUGHNESS, 1.0);
+    // As this project writes it: a file made by other programs means GGX, but does not say what wrote it.
+    let lobe = SpecularLobe::new(Vec3::ONE, roughness);
+    let albedo = material.specular_albedo(&lobe);
+    let factor = material.base_color * material.diffuse_share(roughness);
+    let (width, height) = (surface.atlas().width, surface.atlas().height);
+    let mut texels = match &material.base_color_image {
+        Some(bytes) => texture::decode_texture(path, bytes, width, height)?,
+        None => vec![Vec3::ONE; (width * height) as usize],
+    };
+    texels.iter_mut().for_each(|texel| *texel *= factor);
+    Ok((texels, SpecularLobe { albedo, ..lobe }))
+}
+
+/// Use of a surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SurfaceUse {
+    /// All passes.
+    Lasting,
+    /// Passes before a `Shape` puts another in place of an unknown surface: a coarse one will do.
+    UntilShape,
+    /// Checks alone: a speck stands for an unknown one, whose masks a survey has looked at.
+    Checks,
+}
+
+/// Radius of that speck, world units: no camera is inside.
+const SPECK: f32 = 1e-6;
+
+/// Most cells and texels a side of an unknown surface that is to be replaced.
+const DRAFT: (u32, u32) = (48, 256);
+
+/// Makes the surface, from the training views' masks where it is unknown; the notes say what was repaired on the way.
+///
+/// # Errors
+/// If the mesh cannot be read or unwrapped.
+pub fn make_surface(
+    spec: &SurfaceSpec,
+    views: &[ViewRecord],
+    use_of: SurfaceUse,
+) -> Result<(Surface, Vec<String>)> {
+    match spec {
+        SurfaceSpec::Unknown { cells, texture_size } => match use_of {
+            SurfaceUse::Lasting => hull_of_masks(views, *cells, *texture_size),
+            SurfaceUse::UntilShape => hull_of_masks(views, DRAFT.0.min(*cells), DRAFT.1.min(*texture_size)),
+            SurfaceUse::Checks => Ok((Surface::new(sphere_mesh(Vec3::ZERO, SPECK)?, DRAFT.1)?, Vec::new())),
+        },
+        SurfaceSpec::Mesh { path, texture_size, own_material } => {
+            mesh_of_file(path, *texture_size, *own_material)
+        }
+        SurfaceSpec::Sphere { center, radius, texture_size } => {
+            Ok((Surface::new(sphere_mesh(*center, *radius)?, *texture_size)?, Vec::new()))
+        }
+        SurfaceSpec::Box { center, size, texture_size } => {
+            Ok((Surface::new(box_mesh(*center, *size)?, *texture_size)?, Vec::new()))
+        }
+    }
+}
+
+/// The visual hull of the training views' masks, on a grid of `cells` cells a side.
+fn hull_of_masks(views: &[ViewRecord], cells: u32, texture_size: u32) -> Result<(Surface, Vec<String>)> {
+    let train = views.iter().filter(|view| view.split == Split::Train);
+    let silhouette = |view: &ViewRecord| Silhouette::new(&view.name, &view.camera, view.mask.as_ref()?);
+    let mut silhouettes: Vec<Silhouette> = train.filter_map(silhouette).collect();
+    let hull = visual_hull(&mut silhouettes, cells)?;
+    let notes = check_hull(&hull, &silhouettes)?;
+    let unwrapped = unwrap_mesh(&extract_parts(&hull, &silhouettes), texture_size)?;
+    Ok((Surface::new(unwrapped.mesh, texture_size)?, notes))
+}
+
+/// The mesh of a file. Where it is to have its `own_material`, its own texture coordinates have to do.
+fn mesh_of_file(path: &Path, texture_size: u32, own_material: bool) -> Result<(Surface, Vec<String>)> {
+    let (mesh, report) = read_mesh_with_report(path)?;
+    let unwrapped = unwrap_mesh(&mesh, texture_size)?;
+    if own_material && unwrapped.charts.is_some() {
+        let problem = "its texture coordinates are missing or overlap, so that its own material has no place";
+        let help = "Give the material in the scene file, or unwrap the mesh in another program.";
+        return Err(Error::input(path, "", problem, help));
+    }
+    let notes = report.notes().into_iter().chain(unwrapped.note);
+    let notes = notes.map(|note| format!("{}: {note}", path.display())).collect();
+    Ok((Surface::new(unwrapped.mesh, texture_size)?, notes))
 }

@@ -1,24 +1,21 @@
 //! Reading a scene's data for a survey: every view once, small, with few of them in memory at a time.
 
-use crate::codec::gltf::import::read_mesh;
-use crate::codec::image::{Gamma, Orientation, read_image};
-use crate::dataset::{DatasetOptions, Layout, LoadedView, PlannedView, has_split, load_notes, open_dataset};
-use crate::error::Result;
-use crate::math::color::luminance;
-use crate::mesh::primitive::{box_mesh, sphere_mesh};
-use crate::mesh::triangles::Mesh;
 use crate::report::sheet::choose_evenly;
-use crate::scene::{Dataset, Pass, Scene, Surface, Truth, ViewChoice, Views};
-use crate::survey::examine::{Subject, Survey, examine};
-use crate::survey::look::{MaskOrigin, OpenPhotograph, OpenView, SmallMask, ViewLook};
-use crate::survey::turntable::{BACKGROUND_SIDE, BACKGROUNDS, Background};
-use crate::view::{Mask, Photograph, Split, ViewPriors, ViewRecord};
+use crate::scene::{Dataset, Pass, Scene, Surface, ViewChoice, Views};
+use crate::survey::cameras::{BACKGROUND_SIDE, BACKGROUNDS, Background};
+use crate::survey::look::{MaskOrigin, SmallMask, ViewLook};
+use crate::survey::{Survey, examine};
 use glam::Vec3;
+use lobelia_geometry::error::Result;
+use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
+use lobelia_geometry::view::{Photograph, Split, ViewPriors, ViewRecord};
+use lobelia_io::codec::gltf::import::read_mesh;
+use lobelia_io::codec::image::{Gamma, Orientation, read_image};
+use lobelia_io::dataset::{
+    DatasetOptions, Layout, LoadedView, PlannedView, has_split, load_notes, open_dataset,
+};
+use lobelia_sg::color::luminance;
 use rayon::prelude::*;
-use std::path::PathBuf;
-
-/// Most pixels along a side of the pictures that are looked at.
-const LOOK_SIDE: u32 = 1024;
 
 /// A scene's data set whose views are known and not read: training views, then test views.
 pub struct OpenScene<'a> {
@@ -33,17 +30,30 @@ pub struct OpenScene<'a> {
 }
 
 impl<'a> OpenScene<'a> {
-    /// Opens the data set; `None` if the scene's views are none. Nothing outside `roots` is read, if there are any
-    /// ([`LoadedScene::roots`](crate::scene::LoadedScene::roots)).
+    /// Opens the splits that a pass needs, so that a data set without one is an error, and those that are there; `None` if the scene's
+    /// views are no data set.
     ///
     /// # Errors
-    /// Those of [`open_dataset`].
-    pub fn new(scene: &'a Scene, roots: Option<&[PathBuf]>) -> Result<Option<Self>> {
+    /// Errors of [`open_dataset`], or if the layout of the data cannot be determined.
+    pub fn new(scene: &'a Scene) -> Result<Option<Self>> {
         let Views::Dataset(spec) = &scene.views else { return Ok(None) };
-        let roots = roots.map(<[PathBuf]>::to_vec);
-        let options = DatasetOptions { roots, ..dataset_options(spec, scene.up) };
+        let options = DatasetOptions {
+            layout: spec.layout,
+            gamma: spec.gamma,
+            pixel_center: spec.pixel_center,
+            downscale: spec.downscale,
+            every: spec.every,
+            hold_out: spec.hold_out,
+            select: (!spec.select.is_empty()).then(|| spec.select.clone()),
+            up: scene.up,
+            priors: spec.priors.clone(),
+            placements: spec.placements.iter().map(|of| of.photographs.clone()).collect(),
+        };
         let mut open = Self { scene, spec, layout: spec.layout, views: Vec::new(), notes: Vec::new() };
-        for split in wanted_splits(scene, spec, &options)? {
+        for split in [Split::Train, Split::Test] {
+            if !needs(scene, split) && !has_split(&spec.path, split, &options)? {
+                continue;
+            }
             let opened = open_dataset(&spec.path, split, &options)?;
             open.views.extend(opened.views);
             open.notes.extend(opened.notes);
@@ -55,7 +65,7 @@ impl<'a> OpenScene<'a> {
     /// Reads a view.
     ///
     /// # Errors
-    /// Those of [`PlannedView::load`].
+    /// Errors of [`PlannedView::load`].
     pub fn load(&self, view: &PlannedView) -> Result<LoadedView> {
         let mut loaded = view.load()?;
         let focal_scale = self.spec.focal_scale;
@@ -64,53 +74,41 @@ impl<'a> OpenScene<'a> {
     }
 
     /// Looks at a view that was read.
-    pub fn look(&self, view: &PlannedView, loaded: &LoadedView, with_thumbnail: bool) -> ViewLook {
-        let camera = &loaded.record.camera;
-        let size = [camera.width, camera.height];
+    pub fn look(&self, view: &PlannedView, loaded: &LoadedView) -> ViewLook {
         let source = if view.mask_path().is_some() { MaskOrigin::File } else { MaskOrigin::Alpha };
-        ViewLook::new(&reduced(OpenView::new(loaded)), size, source, with_thumbnail)
+        ViewLook::new(&loaded.record, source)
     }
 
     /// The survey of what was looked at, one look for each view.
     ///
     /// # Errors
-    /// Those of reading the mesh, and some photographs again.
+    /// Errors of reading the mesh, and some photographs again.
     pub fn examine(&self, looks: Vec<ViewLook>) -> Result<Survey> {
-        let mesh = known_mesh(&self.scene.surface)?;
-        let (Surface::Mesh { texture_size, .. }
-        | Surface::Unknown { texture_size, .. }
-        | Surface::Sphere { texture_size, .. }
-        | Surface::Box { texture_size, .. }) = &self.scene.surface;
-        let subject = Subject {
-            mesh: mesh.as_ref(),
-            up: self.scene.up,
-            texture_size: *texture_size,
-            refined: is_refined(self.scene),
-            scored: is_scored(self.scene),
+        let mesh = match &self.scene.surface {
+            Surface::Mesh { path, .. } => Some(read_mesh(path)?),
+            Surface::Sphere { center, radius, .. } => Some(sphere_mesh(*center, *radius)?),
+            Surface::Box { center, size, .. } => Some(box_mesh(*center, *size)?),
+            Surface::Unknown { .. } => None,
         };
         let backgrounds = backgrounds(&self.views, &looks, self.spec.gamma)?;
-        let mut survey = examine(looks, &subject, &backgrounds);
+        let mut survey = examine(looks, mesh.as_ref(), self.scene.up, &backgrounds);
         survey.layout = self.layout;
         Ok(survey)
     }
 }
 
 /// Surveys the data set of a scene; `None` if its views are not a data set. Of each view that is read a few numbers are kept, and its
-/// record without the pixels of the photograph, and without the mask unless the surface is made of it. Thumbnails are for contact
-/// sheets alone.
+/// record without the pixels of the photograph, and without the mask unless the surface is made of it.
 ///
 /// # Errors
-/// Those of [`OpenScene::new`]; the first, in the order of the views, of reading photographs and masks; those of reading the mesh.
-pub fn survey(
-    scene: &Scene,
-    roots: Option<&[PathBuf]>,
-    with_thumbnails: bool,
-) -> Result<Option<(Survey, Vec<ViewRecord>)>> {
-    let Some(open) = OpenScene::new(scene, roots)? else { return Ok(None) };
+/// Errors of [`OpenScene::new`]; the first, in the order of the views, of reading photographs and
+/// masks; errors of reading the mesh.
+pub fn survey(scene: &Scene) -> Result<Option<(Survey, Vec<ViewRecord>)>> {
+    let Some(open) = OpenScene::new(scene)? else { return Ok(None) };
     let needs_masks = matches!(scene.surface, Surface::Unknown { .. });
     let look_at = |view: &PlannedView| {
         let loaded = open.load(view)?;
-        let look = open.look(view, &loaded, with_thumbnails);
+        let look = open.look(view, &loaded);
         let LoadedView { record, .. } = loaded;
         let [width, height] = [record.camera.width, record.camera.height];
         let rest = ViewRecord {
@@ -129,37 +127,6 @@ pub fn survey(
     Ok(Some((survey, loaded.into_iter().map(|view| view.record).collect())))
 }
 
-/// How a scene's data set is read.
-fn dataset_options(spec: &Dataset, up: Vec3) -> DatasetOptions {
-    DatasetOptions {
-        layout: spec.layout,
-        gamma: spec.gamma,
-        pixel_center: spec.pixel_center,
-        downscale: spec.downscale,
-        every: spec.every,
-        hold_out: spec.hold_out,
-        select: (!spec.select.is_empty()).then(|| spec.select.clone()),
-        up,
-        priors: spec.priors.clone(),
-        placements: spec.placements.iter().map(|of| of.photographs.clone()).collect(),
-        roots: None,
-    }
-}
-
-/// The splits that a scene reads: those that a pass needs, so that a data set without one is an error, and those that are there.
-///
-/// # Errors
-/// If the layout of the data cannot be determined.
-fn wanted_splits(scene: &Scene, spec: &Dataset, options: &DatasetOptions) -> Result<Vec<Split>> {
-    let mut splits = Vec::new();
-    for split in [Split::Train, Split::Test] {
-        if needs(scene, split) || has_split(&spec.path, split, options)? {
-            splits.push(split);
-        }
-    }
-    Ok(splits)
-}
-
 /// Whether a pass needs views of this split.
 fn needs(scene: &Scene, split: Split) -> bool {
     let choice = if split == Split::Train { ViewChoice::Train } else { ViewChoice::Test };
@@ -167,54 +134,6 @@ fn needs(scene: &Scene, split: Split) -> bool {
         Pass::Fit(_) | Pass::Shape(_) => split == Split::Train,
         _ => pass.render().is_some_and(|settings| settings.views == choice),
     })
-}
-
-/// Whether a fit makes the texture as fine as the photographs.
-fn is_refined(scene: &Scene) -> bool {
-    scene.passes.iter().any(|pass| matches!(pass, Pass::Fit(fit) if fit.detail))
-}
-
-/// Whether photographs of test views are what a pass is scored against.
-fn is_scored(scene: &Scene) -> bool {
-    scene.passes.iter().any(|pass| match pass {
-        Pass::Evaluate(evaluate) => evaluate.scores.iter().any(|score| score.truth == Truth::Photographs),
-        _ => false,
-    })
-}
-
-fn known_mesh(surface: &Surface) -> Result<Option<Mesh>> {
-    match surface {
-        Surface::Mesh { path, .. } => read_mesh(path).map(Some),
-        Surface::Sphere { center, radius, .. } => sphere_mesh(*center, *radius).map(Some),
-        Surface::Box { center, size, .. } => box_mesh(*center, *size).map(Some),
-        Surface::Unknown { .. } => Ok(None),
-    }
-}
-
-/// A view of at most [`LOOK_SIDE`] pixels a side.
-fn reduced(view: OpenView) -> OpenView {
-    let (width, height) = (view.camera.width, view.camera.height);
-    let factor = width.max(height).div_ceil(LOOK_SIDE).max(1);
-    if factor == 1 {
-        return view;
-    }
-    let small = |photograph: &OpenPhotograph| OpenPhotograph {
-        image: photograph.image.downscaled(factor),
-        saturated: mostly(&photograph.saturated, width, height, factor),
-    };
-    OpenView {
-        camera: view.camera.scaled(factor),
-        photograph: view.photograph.as_ref().map(small),
-        mask: view.mask.as_ref().map(|mask| mask.downscaled(factor)),
-        ..view
-    }
-}
-
-/// Whether most pixels of each block are set, so that shares stay what they are.
-fn mostly(flags: &[bool], width: u32, height: u32, factor: u32) -> Vec<bool> {
-    let coverage = flags.iter().map(|&flag| f32::from(u8::from(flag))).collect();
-    let small = Mask { width, height, coverage }.downscaled(factor);
-    small.coverage.into_iter().map(|share| share >= 0.5).collect()
 }
 
 /// Backgrounds of some photographs that have masks of their own and no alpha.

@@ -1,253 +1,141 @@
-//! Findings about photographs: black, negative or absurdly bright ones, other exposures, blur, and the same picture twice.
+//! Findings about photographs and masks alone: black or differently exposed photographs; dim, inverted or missing masks.
 
-use crate::math::statistics::median;
-use crate::survey::finding::{Finding, Severity, named};
-use crate::survey::look::{MaskOrigin, RadianceStatistics, ViewLook};
-use crate::survey::statistics::{neighbors, strays};
-use crate::view::Placement;
-use crate::view::glare::{GLARING, glare_limit};
+use crate::survey::look::{MaskLook, ViewLook};
+use crate::survey::{Finding, Severity, counted, named};
 use glam::Vec3;
+use lobelia_geometry::view::{Placement, Split};
+use lobelia_sg::statistics::median;
 use std::collections::BTreeMap;
 
-/// A photograph whose brightest hundredth is this many times darker than the median of all is black.
+/// Ratio to the median of all photographs below which the brightest hundredth of one is black.
 const BLACK: f32 = 1e-3;
-/// One that is this many times brighter than the median of all is absurd.
-const ABSURD: f32 = 512.0;
-/// Share of negative pixels that is worth a word. A photograph that is mostly negative is not read.
-const SOME_NEGATIVE: f32 = 0.01;
-/// Share of clipped pixels that is worth a word.
-const MANY_CLIPPED: f32 = 0.05;
+/// Highest coverage below which a mask never says that a pixel is the object's.
+const DIM: f32 = 0.9;
+/// Share of the frame's border that an inverted mask covers, and share of the frame that it leaves out.
+const BORDER: f32 = 0.95;
+const LEFT_OUT: f32 = 0.03;
 /// Views that a view is compared with, and the least number of views for that.
 const NEIGHBORS: usize = 6;
 const LEAST_VIEWS: usize = 8;
-/// A view this many stops apart from its neighbors is an outlier, if they are within `NEAR_DEGREES`; otherwise `FAR_STOPS`.
+/// Stops from which on a view beside neighbors within `NEAR_DEGREES` is an outlier; `FAR_STOPS` beside others.
 const STOPS: f32 = 1.5;
 const FAR_STOPS: f32 = 2.5;
 const NEAR_DEGREES: f32 = 35.0;
-/// How far it must be beyond the usual difference, in standard deviations.
+/// Standard deviations of the usual difference that an outlier exceeds, and the least deviation, stops.
 const SIGMAS: f32 = 5.0;
-/// A view with this share of its neighbors' sharpness looks blurred.
-const BLURRED: f32 = 0.3;
-/// The same of the direction with the least detail, of which a pattern has more in one view than in another: of 24 sharp views of a checkered
-/// object the least has 0.24, of one that moved by nine pixels 0.02.
-const MOVED: f32 = 0.12;
-/// So does one with this share however much the others differ, if those that have more have at least this many times as much, and at most
-/// this part of the views has less. The least sharp views of four sound sets have 0.47 to 0.61.
-const FAR_BLURRED: f32 = 0.2;
-const APART: f32 = 2.0;
-const FEW: f32 = 0.2;
+const LEAST_SIGMA: f32 = 0.1;
+/// Factor from the median absolute deviation to the standard deviation of a normal distribution.
+const SIGMA_PER_MAD: f32 = 1.4826;
 
-/// A view compared with its neighbors.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct NeighborComparison {
-    /// Exposure above that of the neighbors, in stops.
-    pub stops: Option<f32>,
-    /// Sharpness relative to that of the neighbors.
-    pub sharpness: Option<f32>,
-}
-
-/// A fault that a photograph has by its radiance alone.
-struct Fault<'a> {
-    severity: Severity,
-    name: &'static str,
-    is_bad: &'a dyn Fn(&ViewLook, &RadianceStatistics) -> bool,
-    /// What is wrong, given the views' names.
-    problem: fn(&str) -> String,
-    help: &'static str,
-}
-
-impl Fault<'_> {
-    /// The finding about the views that have it, if there are any.
-    fn find(&self, looks: &[ViewLook]) -> Option<Finding> {
-        let bad = lights(looks).filter(|(look, light)| (self.is_bad)(look, light));
-        let views: Vec<String> = bad.map(|(look, _)| look.name.clone()).collect();
-        let problem = || (self.problem)(&named(&views));
-        (!views.is_empty())
-            .then(|| Finding::new(self.severity, self.name, views.clone(), problem(), self.help))
-    }
+fn names<'a>(looks: impl IntoIterator<Item = &'a ViewLook>) -> Vec<String> {
+    looks.into_iter().map(|look| look.name.clone()).collect()
 }
 
 /// Photographs that cannot be photographs of the object.
-pub(crate) fn of_radiance(looks: &[ViewLook]) -> Vec<Finding> {
-    // Those of a placement are in one light.
-    let usual_in = by_placement(looks, |light| light.median);
-    let usual = |look: &ViewLook| usual_in.get(&look.placement).copied().unwrap_or(0.0);
-    let is_black = |look: &ViewLook, light: &RadianceStatistics| {
-        light.highest <= 0.0 || (usual(look) > 0.0 && light.bright < BLACK * usual(look))
-    };
-    let is_bright = |look: &ViewLook, light: &RadianceStatistics| {
-        usual(look) > 0.0 && light.median > ABSURD * usual(look) && light.median > 1.0
-    };
-    let black = Fault {
-        severity: Severity::Error,
-        name: "black",
-        is_bad: &is_black,
-        problem: |views| format!("the photograph is black where the object is, in {views}"),
-        help: "Replace it, or leave the view out with `select`.",
-    };
-    let bright = Fault {
-        severity: Severity::Error,
-        name: "absurdly-bright",
-        is_bad: &is_bright,
-        problem: |views| {
-            format!(
-                "the photograph is absurdly bright in {views}: no light is so much brighter than in the others"
-            )
-        },
-        help: "Write the image again, in the unit of the others, or leave the view out with `select`.",
-    };
-    let found = [black.find(looks), bright.find(looks), glaring(looks, is_bright), negative(looks)];
-    found.into_iter().chain([turned(looks), clipped(looks)]).flatten().collect()
-}
-
-/// The median over the photographs of each placement.
-fn by_placement(looks: &[ViewLook], value: impl Fn(&RadianceStatistics) -> f32) -> BTreeMap<Placement, f32> {
-    let mut values: BTreeMap<Placement, Vec<f32>> = BTreeMap::new();
-    for (look, light) in lights(looks) {
-        values.entry(look.placement).or_default().push(value(light));
+pub(super) fn black(looks: &[ViewLook]) -> Option<Finding> {
+    // Photographs of a placement are in one light.
+    let mut medians: BTreeMap<Placement, Vec<f32>> = BTreeMap::new();
+    for look in looks {
+        medians.entry(look.placement).or_default().extend(look.light.map(|light| light.median));
     }
-    let usual = |(placement, mut values): (Placement, Vec<f32>)| Some((placement, median(&mut values)?));
-    values.into_iter().filter_map(usual).collect()
-}
-
-/// Photographs with many pixels at the top of their range.
-fn clipped(looks: &[ViewLook]) -> Option<Finding> {
-    let fault = Fault {
-        severity: Severity::Warning,
-        name: "clipped",
-        is_bad: &|_: &ViewLook, light: &RadianceStatistics| light.clipped > MANY_CLIPPED,
-        problem: |views| format!("more than a twentieth of the object's pixels are clipped in {views}"),
-        help: "Expose less, or write images with more range (16-bit PNG, EXR).",
+    let usual: BTreeMap<Placement, f32> =
+        medians.into_iter().map(|(key, mut values)| (key, median(&mut values).unwrap_or(0.0))).collect();
+    let is_black = |look: &&ViewLook| {
+        look.light.is_some_and(|light| {
+            let usual = usual[&look.placement];
+            light.highest <= 0.0 || (usual > 0.0 && light.bright < BLACK * usual)
+        })
     };
-    fault.find(looks)
+    let views = names(looks.iter().filter(is_black));
+    let problem = format!("the photograph is black where the object is, in {}", named(&views));
+    let help = "Replace it, or leave the view out with `select`.";
+    (!views.is_empty()).then(|| Finding::new(Severity::Error, "black", views, problem, help))
 }
 
-/// Photographs a few pixels of which are far brighter than anything in the others, but which are not absurd as a whole.
-fn glaring(
-    looks: &[ViewLook],
-    is_absurd: impl Fn(&ViewLook, &RadianceStatistics) -> bool,
-) -> Option<Finding> {
-    let limit = glare_limit(lights(looks).map(|(_, light)| light.highest));
-    let is_glaring =
-        |(look, light): &(&ViewLook, &RadianceStatistics)| light.highest > limit && !is_absurd(look, light);
-    let views: Vec<String> = lights(looks).filter(is_glaring).map(|(look, _)| look.name.clone()).collect();
-    let brightest = lights(looks).map(|(_, light)| light.highest).fold(0.0, f32::max);
-    let problem = || {
-        let views = named(&views);
-        format!(
-            "some pixels are {:.0} times brighter than the brightest of a typical photograph in {views}: they are left out of fits",
-            GLARING * brightest / limit
-        )
-    };
-    let help = "If they are broken pixels, write the image again, or leave the view out with `select`.";
-    (!views.is_empty()).then(|| Finding::warning("glaring-pixels", views.clone(), problem(), help))
+/// Findings about the masks of all views; `has_mesh` says whether the shape is known.
+pub(super) fn of_masks(looks: &[ViewLook], has_mesh: bool) -> impl Iterator<Item = Finding> {
+    [dim(looks), inverted(looks), missing(looks, has_mesh)].into_iter().flatten()
 }
 
-/// Photographs with an EXIF orientation of which no size tells whether cameras and masks are of the pixels as they are stored.
-fn turned(looks: &[ViewLook]) -> Option<Finding> {
-    let turned: Vec<&ViewLook> =
-        looks.iter().filter(|look| look.light.is_some() && look.exif[0] != 1).collect();
-    let views: Vec<String> = turned.iter().map(|look| look.name.clone()).collect();
-    let masks =
-        turned.iter().filter(|look| look.mask_source == MaskOrigin::File && look.exif[1] != look.exif[0]);
-    let masks = match masks.count() {
-        0 => String::new(),
-        count => format!("; {count} of their masks have another"),
-    };
-    let problem = || {
-        let views = named(&views);
-        format!(
-            "the EXIF orientation of photographs is ignored, as this layout's programs do, in {views}{masks}"
-        )
-    };
-    let help = "If cameras or masks were made of upright pictures, run `mogrify -auto-orient` on the photographs first; otherwise \
-                remove the orientation.";
-    (!views.is_empty()).then(|| Finding::warning("exif-orientation", views.clone(), problem(), help))
+fn masked(looks: &[ViewLook]) -> impl Iterator<Item = (&ViewLook, &MaskLook)> {
+    looks.iter().filter_map(|look| Some((look, look.mask.as_ref()?)))
 }
 
-/// Photographs of which some pixels are no radiance, as sharpening filters leave them.
-fn negative(looks: &[ViewLook]) -> Option<Finding> {
-    let views = looks.iter().filter(|look| look.negative > SOME_NEGATIVE).map(|look| look.name.clone());
-    let views: Vec<String> = views.collect();
-    let problem = || {
-        let views = named(&views);
-        format!(
-            "more than a hundredth of the pixels that are not black are negative, and set to 0, in {views}"
-        )
-    };
-    let help = "Write the images without a sharpening filter, or clamp them at 0.";
-    (!views.is_empty()).then(|| Finding::warning("negative-pixels", views.clone(), problem(), help))
+fn dim(looks: &[ViewLook]) -> Option<Finding> {
+    let dim = || masked(looks).filter(|(_, mask)| mask.highest < DIM);
+    let highest = 255.0 * dim().next()?.1.highest;
+    let views = names(dim().map(|(look, _)| look));
+    let problem = format!(
+        "no pixel of the mask is white in {}: the highest value is {highest:.0} of 255",
+        named(&views)
+    );
+    let help = "Write masks with 0 for the background and 255 (in 16 bits 65535) for the object.";
+    Some(Finding::new(Severity::Error, "dim-masks", views, problem, help))
 }
 
-fn lights(looks: &[ViewLook]) -> impl Iterator<Item = (&ViewLook, &RadianceStatistics)> {
-    looks.iter().filter_map(|look| Some((look, look.light.as_ref()?)))
+/// Masks of the background: all around the frame, with a hole.
+fn inverted(looks: &[ViewLook]) -> Option<Finding> {
+    let is_inverted = |mask: &MaskLook| mask.border > BORDER && mask.coverage < 1.0 - LEFT_OUT;
+    let views = names(masked(looks).filter(|(_, mask)| is_inverted(mask)).map(|(look, _)| look));
+    let is_error = 2 * views.len() >= masked(looks).count();
+    let problem = format!("the mask looks inverted, white around the object, in {}", named(&views));
+    let help = "A mask is white where the object is and black elsewhere: invert it.";
+    (!views.is_empty())
+        .then(|| Finding::new(Severity::error_if(is_error), "inverted-masks", views, problem, help))
 }
 
-/// Compares each view with those that see nearly the same side; `directions` are those of the cameras from the object. Views with another
-/// fault (`spoiled`) are left out.
-pub fn compare(
-    looks: &[ViewLook],
-    directions: &[Vec3],
-    spoiled: &[bool],
-) -> (Vec<NeighborComparison>, Vec<Finding>) {
-    let mut compared = vec![NeighborComparison::default(); looks.len()];
-    let mut found = Vec::new();
-    let exposures = |light: &RadianceStatistics| (light.level > 0.0).then(|| light.level.log2());
-    let mut outliers = Vec::new();
-    for Stray { view, difference, sigmas, angle } in stray_views(looks, directions, spoiled, exposures, 0.1) {
-        compared[view].stops = Some(difference);
-        let limit = if angle < NEAR_DEGREES { STOPS } else { FAR_STOPS };
-        if difference.abs() > limit && sigmas.abs() > SIGMAS {
-            outliers.push((view, difference));
+/// Views without masks. Where no view has one, that is a warning beside a mesh, and an error of the
+/// cameras without a mesh.
+fn missing(looks: &[ViewLook], has_mesh: bool) -> Option<Finding> {
+    let without = || looks.iter().filter(|look| look.mask.is_none() && look.light.is_some());
+    let has_none = masked(looks).next().is_none();
+    if without().next().is_none() || (has_none && !has_mesh) {
+        return None;
+    }
+    let help = "Without a mask the background counts where the object is rendered: add masks, white where the object is.";
+    if has_none {
+        let problem = "no view has a mask: there is neither a folder of masks nor alpha";
+        return Some(Finding::new(Severity::Warning, "missing-masks", Vec::new(), problem, help));
+    }
+    let of_test = without().filter(|look| look.split == Split::Test).count();
+    let views = names(without());
+    let problem =
+        format!("there is no mask in {} ({} of the test split)", named(&views), counted(of_test, "view"));
+    Some(Finding::new(Severity::Warning, "missing-masks", views, problem, help))
+}
+
+/// Compares the exposure of each view with that of views of the same placement from nearly the same side:
+/// sets [`ViewLook::stops`], and names outliers. `directions` are those of the cameras from the object; views with another fault
+/// (`spoiled`) are left out.
+pub(super) fn of_exposure(looks: &mut [ViewLook], directions: &[Vec3], spoiled: &[bool]) -> Option<Finding> {
+    let level = |look: &ViewLook| look.light.map(|light| light.level).filter(|level| *level > 0.0);
+    let mut by_placement: BTreeMap<Placement, Vec<(usize, f32)>> = BTreeMap::new();
+    for (i, look) in looks.iter().enumerate().filter(|(i, _)| !spoiled[*i]) {
+        let stops = level(look).map(|level| (i, level.log2()));
+        by_placement.entry(look.placement).or_default().extend(stops);
+    }
+    let mut outliers: Vec<(usize, f32)> = Vec::new();
+    for chosen in by_placement.values().filter(|chosen| chosen.len() >= LEAST_VIEWS) {
+        let around: Vec<Vec3> = chosen.iter().map(|(i, _)| directions[*i]).collect();
+        let near = neighbors(&around, NEIGHBORS);
+        let difference = |i: usize| {
+            let mut values: Vec<f32> = near[i].iter().map(|&k| chosen[k].1).collect();
+            median(&mut values).map_or(0.0, |usual| chosen[i].1 - usual)
+        };
+        let differences: Vec<f32> = (0..chosen.len()).map(difference).collect();
+        let mut sizes: Vec<f32> = differences.iter().map(|difference| difference.abs()).collect();
+        let sigma = (SIGMA_PER_MAD * median(&mut sizes).unwrap_or(0.0)).max(LEAST_SIGMA);
+        for (i, difference) in differences.into_iter().enumerate() {
+            let farthest = near[i].last().map_or(1.0, |&k| around[i].dot(around[k]));
+            let is_near = farthest.clamp(-1.0, 1.0).acos().to_degrees() < NEAR_DEGREES;
+            looks[chosen[i].0].stops = Some(difference);
+            let limit = if is_near { STOPS } else { FAR_STOPS };
+            if difference.abs() > limit.max(SIGMAS * sigma) {
+                outliers.push((chosen[i].0, difference));
+            }
         }
     }
-    if let Some(finding) = exposure_finding(looks, outliers) {
-        found.push(finding);
-    }
-    let everywhere = |light: &RadianceStatistics| light.sharpness.map(|found| found.everywhere.ln());
-    let strays = stray_views(looks, directions, spoiled, everywhere, 0.15);
-    strays.iter().for_each(|stray| compared[stray.view].sharpness = Some(stray.difference.exp()));
-    let least = |light: &RadianceStatistics| light.sharpness.map(|found| found.least.ln());
-    let moved = stray_views(looks, directions, spoiled, least, 0.15);
-    found.extend(blur_finding(looks, &strays, &moved));
-    (compared, found)
-}
-
-/// Names views that are less sharp than others, the worst first: everywhere, or along one direction (`moved`).
-fn blur_finding(looks: &[ViewLook], strays: &[Stray], moved: &[Stray]) -> Option<Finding> {
-    let far = far_blurred(strays);
-    let is_unusual = |stray: &Stray, limit: f32| stray.difference < limit.ln() && stray.sigmas < -SIGMAS;
-    let is_blurred = |(stray, moved): &(&Stray, &Stray)| {
-        is_unusual(stray, BLURRED) || is_unusual(moved, MOVED) || far.contains(&stray.view)
-    };
-    let mut blurred: Vec<(&Stray, &Stray)> = strays.iter().zip(moved).filter(is_blurred).collect();
-    blurred.sort_by(|a, b| a.0.difference.total_cmp(&b.0.difference));
-    let views: Vec<String> = blurred.iter().map(|(stray, _)| looks[stray.view].name.clone()).collect();
-    let problem = || {
-        let (looks_so, views) = (is_or_are(&views), named(&views));
-        format!("{looks_so} blurred beside views from nearly the same side: {views}")
-    };
-    let help = "Leave blurred views out with `select`, or take them again.";
-    (!views.is_empty()).then(|| Finding::warning("blurred", views.clone(), problem(), help))
-}
-
-/// The few views far less sharp than all others.
-fn far_blurred(strays: &[Stray]) -> Vec<usize> {
-    let (below, others): (Vec<&Stray>, Vec<&Stray>) =
-        strays.iter().partition(|stray| stray.difference < FAR_BLURRED.ln());
-    let most = below.iter().map(|stray| stray.difference).fold(f32::NEG_INFINITY, f32::max);
-    let least = others.iter().map(|stray| stray.difference).fold(f32::INFINITY, f32::min);
-    let is_few = below.len() as f32 <= FEW * strays.len() as f32;
-    let is_apart = is_few && least > most + APART.ln();
-    if is_apart { below.iter().map(|stray| stray.view).collect() } else { Vec::new() }
-}
-
-fn is_or_are(views: &[String]) -> &'static str {
-    if views.len() == 1 { "a photograph looks" } else { "photographs look" }
-}
-
-fn exposure_finding(looks: &[ViewLook], mut outliers: Vec<(usize, f32)>) -> Option<Finding> {
-    outliers.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+    outliers.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()).then(a.0.cmp(&b.0)));
     let (worst, stops) = *outliers.first()?;
     let views: Vec<String> = outliers.iter().map(|(view, _)| looks[*view].name.clone()).collect();
     let way = if stops > 0.0 { "brighter" } else { "darker" };
@@ -259,70 +147,18 @@ fn exposure_finding(looks: &[ViewLook], mut outliers: Vec<(usize, f32)>) -> Opti
     );
     let help = "If it is not the object that looks so different from there (its underside, a glare), use `exposure: Color` in the pass that \
                 fits, or leave the view out with `select`.";
-    Some(Finding::warning("exposure", views, problem, help))
+    Some(Finding::new(Severity::Warning, "exposure", views, problem, help))
 }
 
-/// A view's difference from its neighbors.
-struct Stray {
-    view: usize,
-    difference: f32,
-    /// The same in standard deviations of such differences.
-    sigmas: f32,
-    /// Angle to the farthest neighbor, degrees.
-    angle: f32,
-}
-
-/// Compares a value of views that have one, within each placement: in another one, the same side is in another light. Nothing for few views.
-fn stray_views(
-    looks: &[ViewLook],
-    directions: &[Vec3],
-    spoiled: &[bool],
-    value: impl Fn(&RadianceStatistics) -> Option<f32>,
-    floor: f32,
-) -> Vec<Stray> {
-    let with_value =
-        |(i, look): (usize, &ViewLook)| Some((i, value(look.light.as_ref().filter(|_| !spoiled[i])?)?));
-    let mut by_placement: BTreeMap<Placement, Vec<(usize, f32)>> = BTreeMap::new();
-    for (i, value) in looks.iter().enumerate().filter_map(with_value) {
-        by_placement.entry(looks[i].placement).or_default().push((i, value));
-    }
-    let mut all: Vec<Stray> =
-        by_placement.values().flat_map(|chosen| strays_among(chosen, directions, floor)).collect();
-    all.sort_by_key(|stray| stray.view);
-    all
-}
-
-/// Compares the values of views, which are in the same light.
-fn strays_among(chosen: &[(usize, f32)], directions: &[Vec3], floor: f32) -> Vec<Stray> {
-    if chosen.len() < LEAST_VIEWS {
-        return Vec::new();
-    }
-    let values: Vec<f32> = chosen.iter().map(|(_, value)| *value).collect();
-    let directions: Vec<Vec3> = chosen.iter().map(|(i, _)| directions[*i]).collect();
-    let near = neighbors(&directions, NEIGHBORS);
-    let angle = |i: usize| {
-        let farthest = near[i].last().map_or(1.0, |&k| directions[i].dot(directions[k]));
-        farthest.clamp(-1.0, 1.0).acos().to_degrees()
+/// For each unit direction, the indices of the `count` nearest others, the nearest first; equal distances
+/// are ordered by index.
+fn neighbors(directions: &[Vec3], count: usize) -> Vec<Vec<usize>> {
+    let nearest = |i: usize| {
+        let mut others: Vec<usize> = (0..directions.len()).filter(|&k| k != i).collect();
+        let closeness = |k: &usize| -directions[i].dot(directions[*k]);
+        others.sort_by(|a, b| closeness(a).total_cmp(&closeness(b)).then(a.cmp(b)));
+        others.truncate(count);
+        others
     };
-    let strays = strays(&values, &near, floor).into_iter().enumerate();
-    strays
-        .map(|(i, (difference, sigmas))| Stray { view: chosen[i].0, difference, sigmas, angle: angle(i) })
-        .collect()
-}
-
-/// Photographs that are the same as another, pixel by pixel.
-pub(crate) fn of_duplicates(looks: &[ViewLook]) -> Option<Finding> {
-    let mut by_print: BTreeMap<(u64, [u32; 2]), Vec<&str>> = BTreeMap::new();
-    for (look, light) in lights(looks).filter(|(_, light)| light.highest > 0.0) {
-        by_print.entry((light.fingerprint, look.size)).or_default().push(&look.name);
-    }
-    let mut groups: Vec<Vec<&str>> = by_print.into_values().filter(|names| names.len() > 1).collect();
-    groups.sort();
-    let first = groups.first()?;
-    let views: Vec<String> = groups.iter().flatten().map(|name| (*name).to_owned()).collect();
-    let pair: Vec<String> = first.iter().map(|name| (*name).to_owned()).collect();
-    let rest = if groups.len() > 1 { format!(", and {} more", groups.len() - 1) } else { String::new() };
-    let problem = format!("the same photograph is there more than once: {}{rest}", named(&pair));
-    let help = "Leave the copies out with `select`; a copy in the test split makes scores meaningless.";
-    Some(Finding::warning("duplicates", views, problem, help))
+    (0..directions.len()).map(nearest).collect()
 }

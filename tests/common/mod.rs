@@ -1,24 +1,23 @@
-//! What the whole-program tests share: a small known object, a data set photographed of it, and running the command.
+//! Parts shared by the whole-program tests: a small known object, a data set photographed of it,
+//! and running the command.
 
-use glam::{Mat4, Vec3};
+use glam::Mat4;
 use lobelia::codec::exr::{ExrLayers, read_exr_layers};
-use lobelia::codec::exr_frame::{Frame, write_channels, write_frame};
+use lobelia::codec::exr_frame::{write_channels, write_frame};
 use lobelia::codec::gltf::export::write_glb;
 use lobelia::codec::npy::{NpyConvention, write_lobes};
-use lobelia::light::LightLobe;
-use lobelia::material::SpecularLobe;
-use lobelia::mesh::Surface;
-use lobelia::mesh::primitive::sphere_mesh;
-use lobelia::pipeline::Pipeline;
-use lobelia::prelude::{Image, Mask, Photograph, Split, StoredMask, ViewRecord};
-use lobelia::shade::frame::{FramePlugin, render_frame, resolve};
-use lobelia::spawn::spawn_object;
-use lobelia::view::Camera;
+use lobelia::pass::progress::{Bar, Progress, Silent};
+use lobelia::pass::{self, RunOptions};
+use lobelia::prelude::*;
+use lobelia::scene::{LoadOptions, load};
 use serde_json::{Map, Value, json};
+use std::fs::File;
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::Arc;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
@@ -62,7 +61,7 @@ pub fn studio(lobes: &[LightLobe]) -> Pipeline {
     )
 }
 
-/// The same with another albedo, in a texture of `texture_size`² texels.
+/// Returns the studio with another albedo, in a texture of `texture_size`² texels.
 pub fn painted_studio(lobes: &[LightLobe], texture_size: u32, color: impl Fn(&Vec3) -> Vec3) -> Pipeline {
     let mesh = sphere_mesh(Vec3::ZERO, RADIUS).unwrap();
     let surface = Arc::new(Surface::new(mesh, texture_size).unwrap());
@@ -74,13 +73,21 @@ pub fn painted_studio(lobes: &[LightLobe], texture_size: u32, color: impl Fn(&Ve
     pipeline
 }
 
+/// Adds another mesh, without texture coordinates.
+pub fn join(mesh: &mut Mesh, other: &Mesh) {
+    let first = mesh.positions.len() as u32;
+    mesh.triangles.extend(other.triangles.iter().map(|corners| corners.map(|v| v + first)));
+    mesh.positions.extend(&other.positions);
+    mesh.normals.extend(&other.normals);
+}
+
 /// A camera in direction `from` of the object.
 pub fn camera(from: [f32; 3], size: u32) -> Camera {
     let eye = Vec3::from(from).normalize() * DISTANCE;
     Camera::look_at(eye, Vec3::ZERO, Vec3::Y, 38.0, size, size).unwrap()
 }
 
-/// What the studio's systems see through `camera`.
+/// Renders the studio through `camera`.
 pub fn shoot(pipeline: &mut Pipeline, camera: Camera) -> Frame {
     resolve(&render_frame(pipeline, camera, 4).unwrap())
 }
@@ -92,16 +99,18 @@ pub fn photographs_of(
     size: u32,
     change: impl Fn(usize, &mut Frame),
 ) -> Vec<ViewRecord> {
-    let photograph = |(number, camera): (usize, Camera)| {
-        let mut frame = shoot(truth, camera);
-        change(number, &mut frame);
-        let (width, height) = (camera.width, camera.height);
-        let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
-        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
-        let bare = ViewRecord::of_camera("v".into(), Split::Train, camera);
-        ViewRecord { photograph: Some(photograph), mask, ..bare }
-    };
-    Camera::around(count, DISTANCE, 38.0, size).unwrap().into_iter().enumerate().map(photograph).collect()
+    let cameras = Camera::around(count, DISTANCE, 38.0, size).unwrap().into_iter().enumerate();
+    cameras.map(|(number, camera)| photograph(truth, camera, |frame| change(number, frame))).collect()
+}
+
+/// A training photograph of what `truth` shows, whose frame `change` gets.
+pub fn photograph(truth: &mut Pipeline, camera: Camera, change: impl Fn(&mut Frame)) -> ViewRecord {
+    let mut frame = shoot(truth, camera);
+    change(&mut frame);
+    let (width, height) = (camera.width, camera.height);
+    let photograph = Some(Photograph::of_image(&Image { width, height, pixels: frame.color }));
+    let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
+    ViewRecord { photograph, mask, ..ViewRecord::of_camera("front".into(), Split::Train, camera) }
 }
 
 /// Where the training cameras are.
@@ -116,29 +125,83 @@ pub const TRAIN: [[f32; 3]; 6] = [
 /// Where the test cameras are.
 pub const TEST: [[f32; 3]; 2] = [[0.7, 0.5, 0.8], [-0.5, 0.3, -0.9]];
 
-/// A PhySG data set in a folder of its own, which goes when this is dropped.
+/// A folder of data and results, which goes when this is dropped, or stays for the next run of the tests if it is shared.
 pub struct Data {
-    folder: TempDir,
+    root: PathBuf,
+    _folder: Option<TempDir>,
+}
+
+/// Says on the terminal, whatever becomes of a test's own output, that something of it is skipped.
+pub fn skipped(why: &str) {
+    use std::io::Write as _;
+    let _ = writeln!(std::io::stderr(), "skipped: {why}");
+}
+
+/// Tells whether a program is installed and runs, and says it if it is not.
+pub fn is_installed(program: &str) -> bool {
+    let runs = Command::new(program).arg("--version").output().is_ok_and(|output| output.status.success());
+    if !runs {
+        skipped(&format!("{program} is not installed"));
+    }
+    runs
 }
 
 impl Data {
-    /// Photographs the studio; also the truth of the test views and two lights.
-    pub fn new() -> Self {
+    /// An empty folder.
+    pub fn bare() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let data = Self { folder };
-        write_glb(&data.path("mesh.glb"), &sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), None).unwrap();
-        write_lobes(data.path("evening.npy"), &evening(), NpyConvention::Lobelia).unwrap();
-        let mut studio = studio(&day());
-        data.photograph(&mut studio, SIZE);
-        let mut relit = self::studio(&evening());
+        Self { root: folder.path().to_owned(), _folder: Some(folder) }
+    }
+
+    /// A PhySG data set: photographs of the studio; also the truth of the test views and two lights.
+    pub fn new() -> Self {
+        Self::bare().with_studio()
+    }
+
+    /// The data set of [`Data::new`] in the folder of a run that several tests look at. Only one
+    /// process at a time has it.
+    pub fn shared(name: &str) -> Self {
+        static LOCK: OnceLock<File> = OnceLock::new();
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+        LOCK.get_or_init(|| {
+            std::fs::create_dir_all(folder).unwrap();
+            let lock = File::create(folder.join("shared.lock")).unwrap();
+            lock.lock().unwrap();
+            lock
+        });
+        let root = folder.join(name);
+        let _ = std::fs::remove_dir_all(&root);
+        std::fs::create_dir(&root).unwrap();
+        Self { root, _folder: None }.with_studio()
+    }
+
+    /// With the files of the data set, which are made once.
+    fn with_studio(self) -> Self {
+        static FILES: OnceLock<Vec<(String, Vec<u8>)>> = OnceLock::new();
+        let files = FILES.get_or_init(|| {
+            let made = Self::bare();
+            made.make_studio();
+            files_below(made.root()).into_iter().map(|file| (file.clone(), made.bytes(file))).collect()
+        });
+        for (file, bytes) in files {
+            self.write(file, bytes);
+        }
+        self
+    }
+
+    fn make_studio(&self) {
+        write_glb(&self.path("mesh.glb"), &sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), None).unwrap();
+        write_lobes(self.path("evening.npy"), &evening(), NpyConvention::Lobelia).unwrap();
+        write_lobes(self.path("day.npy"), &day(), NpyConvention::Lobelia).unwrap();
+        self.photograph(&mut studio(&day()), SIZE);
+        let mut relit = studio(&evening());
         for (i, from) in TEST.into_iter().enumerate() {
             let frame = shoot(&mut relit, camera(from, SIZE));
-            let gt = data.path("test/gt");
+            let gt = self.path("test/gt");
             write_frame(gt.join(format!("relit/rgb_{i:06}.exr")), &frame).unwrap();
             write_image(&gt.join(format!("albedo_{i:06}.exr")), &frame.albedo, frame.width);
             write_image(&gt.join(format!("normal_{i:06}.exr")), &frame.normal, frame.width);
         }
-        data
     }
 
     /// Takes the photographs of both splits again, of what this pipeline shows, `size` pixels wide and high.
@@ -148,35 +211,141 @@ impl Data {
     }
 
     pub fn root(&self) -> &Path {
-        self.folder.path()
+        &self.root
     }
 
-    pub fn path(&self, relative: &str) -> PathBuf {
+    pub fn path(&self, relative: impl AsRef<Path>) -> PathBuf {
         self.root().join(relative)
     }
 
+    /// Writes a file, and the folders that it is in.
+    pub fn write(&self, file: impl AsRef<Path>, bytes: impl AsRef<[u8]>) -> PathBuf {
+        let path = self.path(file);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, bytes).unwrap();
+        path
+    }
+
+    /// Writes a COLMAP model of photographs in `colmap/images`, all seen by one camera from one place.
+    pub fn write_colmap(&self, names: &[&str], focal: f32) {
+        let lines: Vec<String> = names.iter().map(|name| format!("1 1 0 0 0 0 0 2.8 1 {name}\n\n")).collect();
+        self.write("colmap/sparse/0/images.txt", lines.concat());
+        let camera = format!("1 PINHOLE {SIZE} {SIZE} {focal} {focal} 12 12");
+        self.write("colmap/sparse/0/cameras.txt", camera);
+    }
+
+    #[track_caller]
+    pub fn bytes(&self, file: impl AsRef<Path>) -> Vec<u8> {
+        let path = self.path(file);
+        std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    }
+
+    #[track_caller]
+    pub fn text(&self, file: impl AsRef<Path>) -> String {
+        String::from_utf8(self.bytes(file)).unwrap()
+    }
+
+    #[track_caller]
+    pub fn json(&self, file: impl AsRef<Path>) -> Value {
+        serde_json::from_str(&self.text(file)).unwrap()
+    }
+
+    /// The scores of a run.
+    #[track_caller]
+    pub fn metrics(&self, out: &str) -> Value {
+        self.json(format!("{out}/metrics.json"))
+    }
+
+    /// The mean PSNR of the pass `novel` of a run.
+    #[track_caller]
+    pub fn novel(&self, out: &str) -> f64 {
+        self.metrics(out)["passes"]["novel"]["psnr"].as_f64().unwrap()
+    }
+
+    #[track_caller]
+    pub fn exr(&self, file: impl AsRef<Path>) -> ExrLayers {
+        read_exr_layers(self.path(file)).unwrap()
+    }
+
+    /// The pictures of a pass, in the order of their names.
+    pub fn pictures(&self, pass: &str) -> Vec<String> {
+        let files = files_below(&self.path(pass)).into_iter().filter(|file| file.ends_with(".exr"));
+        files.map(|file| format!("{pass}/{file}")).collect()
+    }
+
+    /// Expects that the pictures of two passes have the same bytes.
+    #[track_caller]
+    pub fn same_pictures(&self, one: &str, other: &str) {
+        let [one, other] = [one, other].map(|pass| self.pictures(pass));
+        assert!(!one.is_empty() && one.len() == other.len(), "{one:?} {other:?}");
+        for (one, other) in one.iter().zip(&other) {
+            assert!(self.bytes(one) == self.bytes(other), "{one} and {other} differ");
+        }
+    }
+
+    /// Changes the cameras of a split.
+    pub fn change_cameras(&self, split: &str, mut change: impl FnMut(&str, &mut Value)) {
+        let path = format!("{split}/cam_dict_norm.json");
+        let mut cameras = self.json(&path);
+        cameras.as_object_mut().unwrap().iter_mut().for_each(|(name, camera)| change(name, camera));
+        std::fs::write(self.path(path), cameras.to_string()).unwrap();
+    }
+
     /// Changes one camera of a split.
-    pub fn change_camera(&self, split: &str, name: &str, change: impl FnOnce(&mut Value)) {
-        let path = self.path(split).join("cam_dict_norm.json");
-        let mut cameras: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
-        change(cameras.get_mut(name).unwrap());
-        std::fs::write(path, cameras.to_string()).unwrap();
+    pub fn change_camera(&self, split: &str, name: &str, mut change: impl FnMut(&mut Value)) {
+        self.change_cameras(split, |other, camera| {
+            if other == name {
+                change(camera);
+            }
+        });
     }
 
     /// Changes the channels of an EXR.
     pub fn change_image(&self, relative: &str, change: impl FnOnce(&mut ExrLayers)) {
-        let mut channels = read_exr_layers(self.path(relative)).unwrap();
+        let mut channels = self.exr(relative);
         change(&mut channels);
         write_unchecked(&self.path(relative), &channels);
     }
 
     /// Writes `text` as `scene.ron` and runs it into `out`.
     pub fn run(&self, scene: &str, out: &str, arguments: &[&str]) -> Outcome {
-        let path = self.path("scene.ron");
-        std::fs::write(&path, scene).unwrap();
-        let mut command = command(&[]);
-        command.arg("run").arg(path).arg("--data").arg(self.root()).arg("--out").arg(self.path(out));
+        self.write("scene.ron", scene);
+        self.run_file("scene.ron", out, arguments)
+    }
+
+    /// Runs a scene file, such as the one that `Save` wrote.
+    pub fn run_file(&self, scene: &str, out: &str, arguments: &[&str]) -> Outcome {
+        let mut command = command(&["run"]);
+        command.arg(self.path(scene)).arg("--data").arg(self.root()).arg("--out").arg(self.path(out));
         Outcome::of(command.args(arguments))
+    }
+
+    /// Runs a scene into `out` in this process.
+    pub fn run_here(
+        &self,
+        scene: &str,
+        out: &str,
+        checkpoint_every: Option<Duration>,
+        resume: bool,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        let options = LoadOptions { data: Some(self.root().to_owned()), ..LoadOptions::default() };
+        let loaded = load(&self.write("scene.ron", scene), &options)?;
+        let run = RunOptions { out: self.path(out), checkpoint_every, resume, ..RunOptions::default() };
+        pass::run(&loaded, &run, progress)
+    }
+
+    /// Opens the object that `Save` wrote in a run, and expects the same pictures of `novel`, which come to `again`.
+    #[track_caller]
+    pub fn reopens(&self, out: &str) {
+        self.run_file(&format!("{out}/saved/scene.ron"), "again", &["--quiet", "--force"]).succeeded();
+        self.same_pictures(&format!("{out}/novel"), "again/novel");
+    }
+
+    /// Writes `text` as `scene.ron` and checks it.
+    pub fn check(&self, scene: &str) -> Outcome {
+        let path = self.write("scene.ron", scene);
+        Outcome::of(command(&["check"]).arg(path).arg("--data").arg(self.root()))
     }
 }
 
@@ -250,11 +419,16 @@ pub struct Outcome {
     pub stderr: String,
 }
 
-impl Outcome {
-    pub fn of(command: &mut Command) -> Self {
-        let Output { status, stdout, stderr } = command.output().unwrap();
+impl From<Output> for Outcome {
+    fn from(Output { status, stdout, stderr }: Output) -> Self {
         let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
         Self { code: status.code(), stdout: text(stdout), stderr: text(stderr) }
+    }
+}
+
+impl Outcome {
+    pub fn of(command: &mut Command) -> Self {
+        command.output().unwrap().into()
     }
 
     #[track_caller]
@@ -262,6 +436,31 @@ impl Outcome {
         assert_eq!(self.code, Some(0), "{}", self.stderr);
         self
     }
+
+    /// Expects exit code 2 and one short message with all `words`.
+    #[track_caller]
+    pub fn refused(&self, words: &[&str]) {
+        let stderr = &self.stderr;
+        assert_eq!(self.code, Some(2), "{stderr}{}", self.stdout);
+        assert!(!stderr.contains("panicked") && stderr.len() < 3000, "{stderr}");
+        assert_eq!(stderr.matches("error: ").count(), 1, "one message, not:\n{stderr}");
+        for word in words {
+            assert!(flat(stderr).contains(word), "no {word:?} in\n{stderr}");
+        }
+    }
+}
+
+/// The text with `from`, which must be there once, replaced by `to`.
+#[track_caller]
+pub fn changed(text: &str, from: &str, to: &str) -> String {
+    assert_eq!(text.matches(from).count(), 1, "{from:?} must be there once");
+    text.replace(from, to)
+}
+
+/// A message on one line, so that a wrapped sentence is found.
+pub fn flat(text: &str) -> String {
+    let words = text.split(|c: char| c.is_whitespace() || c == '│').filter(|word| !word.is_empty());
+    words.collect::<Vec<_>>().join(" ")
 }
 
 /// All files below a folder by relative path, sorted; empty if there is no such folder.
@@ -299,102 +498,164 @@ pub fn states(manifest: &Value) -> Vec<String> {
     passes.iter().map(|pass| pass["state"].as_str().unwrap().to_owned()).collect()
 }
 
-/// A run that is at work, and is ended with the test.
-pub struct AtWork(Child);
+/// Does something when the bar of a pass comes to a step.
+#[derive(Clone)]
+pub struct AtStep<F>(pub &'static str, pub u64, pub F);
 
-impl AtWork {
-    /// Starts a run of `scene.ron`.
-    pub fn begin(data: &Data, arguments: &[&str]) -> Self {
-        Self::begin_by(data, &[], arguments)
+impl<F: Fn() + Clone + Send + Sync + 'static> Progress for AtStep<F> {
+    fn note(&self, _: &str) {}
+
+    fn print(&self, _: &str) {}
+
+    fn bar(&self, title: &str, _: u64) -> Box<dyn Bar> {
+        if title == self.0 { Box::new(Fuse(self.clone(), AtomicU64::new(0))) } else { Box::new(Silent) }
+    }
+}
+
+struct Fuse<F>(AtStep<F>, AtomicU64);
+
+impl<F: Fn() + Send + Sync> Bar for Fuse<F> {
+    fn inc(&self, steps: u64) {
+        self.set_position(self.1.load(Ordering::Relaxed) + steps);
     }
 
-    /// The same through another program, which becomes the run.
+    fn set_position(&self, steps: u64) {
+        self.1.store(steps, Ordering::Relaxed);
+        if steps == self.0.1 {
+            (self.0.2)();
+        }
+    }
+
+    fn set_message(&self, _: String) {}
+
+    fn finish_and_clear(&self) {}
+}
+
+/// How long a test waits for something that a run does.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// A run that is at work, and is ended with the test.
+pub struct AtWork {
+    child: Child,
+    /// The events of its log (`--log json`).
+    events: Receiver<Value>,
+}
+
+impl AtWork {
+    /// Starts a run of `scene.ron`, which a signal stops also where the tests themselves ignore it, as after `nohup`.
+    pub fn begin(data: &Data, arguments: &[&str]) -> Self {
+        let by: &[&str] = if cfg!(target_os = "linux") { &["env", "--default-signal=INT"] } else { &[] };
+        Self::begin_by(data, by, arguments)
+    }
+
+    /// Starts a run through another program, which becomes the run.
     pub fn begin_by(data: &Data, by: &[&str], arguments: &[&str]) -> Self {
-        let words = [by, &[env!("CARGO_BIN_EXE_lobelia"), "run", "--quiet"]].concat();
+        let words = [by, &[env!("CARGO_BIN_EXE_lobelia"), "run", "--log", "json"]].concat();
         let mut run = Command::new(words[0]);
         run.args(&words[1..]);
         run.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path("out"));
-        Self(run.args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
-    }
-
-    /// Starts a run with a page, and returns the port at which it says it is.
-    pub fn begin_live(data: &Data, scene: &str, arguments: &[&str]) -> (Self, u16) {
-        std::fs::write(data.path("scene.ron"), scene).unwrap();
-        let mut run = command(&["run", "--quiet"]);
-        run.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path("out"));
-        run.args(arguments).arg("--live");
-        let mut at_work = Self(run.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
-        let mut line = String::new();
-        BufReader::new(at_work.0.stderr.take().unwrap()).read_line(&mut line).unwrap();
-        let port =
-            line.trim().strip_prefix("live: http://127.0.0.1:").and_then(|rest| rest.strip_suffix('/'));
-        (at_work, port.unwrap_or_else(|| panic!("{line}")).parse().unwrap())
+        let mut child = run.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let (sender, events) = channel();
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        std::thread::spawn(move || {
+            // The run must not wait for a reader, whether or not the test listens.
+            for line in lines.map_while(|line| line.ok()) {
+                let _ = serde_json::from_str(&line).map(|event| sender.send(event));
+            }
+        });
+        Self { child, events }
     }
 
     /// Starts a run and waits until a pass is at work.
     pub fn start(data: &Data, scene: &str, arguments: &[&str], pass: &str) -> Self {
         std::fs::write(data.path("scene.ron"), scene).unwrap();
-        let (mut at_work, started) = (Self::begin(data, arguments), Instant::now());
-        let is_running = || -> Option<bool> {
-            let text = std::fs::read(data.path("out/run.json")).ok()?;
-            let manifest: Value = serde_json::from_slice(&text).ok()?;
-            let passes = manifest["passes"].as_array()?.clone();
-            Some(passes.iter().any(|found| found["name"] == pass && found["state"] == "running"))
-        };
-        while is_running() != Some(true) {
-            assert!(at_work.0.try_wait().unwrap().is_none(), "the run ended");
-            assert!(started.elapsed() < Duration::from_secs(300), "{pass} does not begin");
-            std::thread::sleep(Duration::from_millis(10));
-        }
+        let at_work = Self::begin(data, arguments);
+        at_work.until(|event| event["event"] == "pass" && event["name"] == pass);
         at_work
     }
 
-    /// Waits until the run, which has `--checkpoint 0s`, has kept a step of a pass.
-    pub fn until_a_step_is_kept(&self, data: &Data) {
-        // Not of the beginning of a pass or level, and not half-written.
-        let is_step = |file: &String| {
-            file.ends_with(".state") && !file.ends_with("-0.state") && !file.contains(".part.")
-        };
-        let start = Instant::now();
-        while !files_below(&data.path("out/.checkpoint")).iter().any(is_step) {
-            assert!(start.elapsed() < Duration::from_secs(300), "process {} keeps no step", self.0.id());
-            std::thread::sleep(Duration::from_millis(2));
+    /// Waits until the run tells of such an event.
+    #[track_caller]
+    pub fn until(&self, is_it: impl Fn(&Value) -> bool) {
+        let started = Instant::now();
+        loop {
+            let left = PATIENCE.saturating_sub(started.elapsed());
+            let event = self.events.recv_timeout(left).expect("the run ended, or stands still");
+            if is_it(&event) {
+                return;
+            }
         }
+    }
+
+    /// Waits until the run has taken further steps of a fit or shape.
+    pub fn until_a_step(&self) {
+        while self.events.try_recv().is_ok() {}
+        self.until(|event| event["event"] == "step");
     }
 
     /// Waits for the end of the run, and returns its exit code.
     pub fn ended(mut self) -> Option<i32> {
         let started = Instant::now();
         loop {
-            if let Some(status) = self.0.try_wait().unwrap() {
+            if let Some(status) = self.child.try_wait().unwrap() {
                 return status.code();
             }
-            assert!(started.elapsed() < Duration::from_secs(300), "the run does not end");
+            assert!(started.elapsed() < PATIENCE, "the run does not end");
             std::thread::sleep(Duration::from_millis(10));
         }
     }
 
-    /// Sends it a signal, by name.
+    /// Sends it a signal, by name; SIGTERM if nothing else matters, for a program in the background may inherit that the others are ignored.
     #[cfg(unix)]
     pub fn signal(&self, name: &str) {
-        let id = self.0.id().to_string();
+        let id = self.child.id().to_string();
         assert!(Command::new("kill").args([&format!("-{name}"), &id]).status().unwrap().success());
     }
 
     /// Kills it, as a power cut would.
     pub fn kill(mut self) {
-        self.0.kill().unwrap();
-        self.0.wait().unwrap();
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
     }
 }
 
 impl Drop for AtWork {
     fn drop(&mut self) {
         // It may have ended already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
+
+/// Tells whether this process ignores a signal, as one in the background does; its children then do, too. Says that it is skipped.
+#[cfg(unix)]
+pub fn is_ignored(name: &str, number: u32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask =
+        status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
+    let is_ignored = mask.is_some_and(|mask| mask >> (number - 1) & 1 == 1);
+    if is_ignored {
+        skipped(&format!("SIG{name} is ignored here"));
+    }
+    is_ignored
+}
+
+/// A gray sphere under a lamp at the side, and a pass `{PASS}`.
+pub const GRAY_SPHERE: &str = r#"Scene(
+    version: 1,
+    surface: Sphere(texture_size: 16),
+    views: Cameras([(name: "a", eye: (0, 0, 3), width: 16, height: 16)]),
+    light: Fixed(Lobes(lobes: [(axis: (1, 0.2, 0.5), sharpness: 4, amplitude: (1, 1, 1))])),
+    material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0.1, 0.1, 0.1), roughness: Fixed(0.3))),
+    passes: [{PASS}],
+)"#;
+
+/// Passes of [`scene`].
+pub const FIT: &str = r#"Fit(name: "fit", steps: 10, batch: 256), "#;
+pub const NOVEL: &str = r#"Render(name: "novel"), "#;
+pub const SCORES: &str = r#"Evaluate(scores: [(pass: "novel", truth: Photographs)]), "#;
+/// A fit that does not end.
+pub const ENDLESS: &str = r#"Fit(name: "endless", steps: 1500000000, batch: 256), "#;
 
 /// A scene of a data set with its mesh and an unknown light, and with these passes.
 pub fn scene(passes: &str) -> String {

@@ -1,156 +1,341 @@
 //! `docs/src/reference.md`: every word of a scene file, from the doc comments of the types that serde reads it into.
 
-use super::defaults::{Found, Library, plain, said};
-use super::markdown::{anchor, repository};
-use super::rust_items::{Field, Kind, Payload, Token, Variant, parse};
+use super::{anchor, files_with, repository};
 use std::fmt::Write as _;
-use std::path::Path;
+use syn::punctuated::Punctuated;
+use syn::{
+    Attribute, Expr, Field, Fields, GenericArgument, ImplItem, Item, Lit, Meta, Path, PathArguments, Stmt,
+    Token, Type, Variant,
+};
 
-/// Where the types are looked for: source files, or folders with all below them. Types that are not reachable from
-/// [`ROOT`] are ignored.
-const SOURCES: &[&str] = &["src", "crates/lobelia-math/src"];
+/// The folders of the types, whose names are unique among those that serde reads.
+const SOURCES: [&str; 2] = ["src", "crates"];
 
-/// The type of a whole scene file.
-const ROOT: &str = "Scene";
-
-/// The generated pages: the type that each begins with, the file, and the text above the first type.
-const PAGES: [(&str, &str, &str); 2] = [
-    (
-        ROOT,
-        "reference.md",
-        "\
-# Scene-file reference: the object
-
-<!-- Generated from the doc comments by tests/docs/reference.rs. Regenerate: LOBELIA_BLESS=1 cargo test --release reference -->
-
-Every type of the scene file, in the order in which [`Scene`](#scene) uses them; the types of the `passes` list are on the
-[next page](reference-passes.md). [Scene files](scene-files.md) explains the syntax. The general rules:
-
-- Lengths are in the unit of the data set. Colors are linear Rec. 709. Angles are in degrees.
-- Paths may start with `$DATA`; other paths are relative to the scene file.
-- A field that is not listed is an error. A field with a default may be left out.
-- The default `()` means that all fields of that type have their defaults.
-",
-    ),
-    (
-        "Pass",
-        "reference-passes.md",
-        "\
-# Scene-file reference: passes
-
-<!-- Generated from the doc comments by tests/docs/reference.rs. Regenerate: LOBELIA_BLESS=1 cargo test --release reference -->
-
-The types of the `passes` list of a scene file. [The object](reference.md) has the other types and the general rules.
-[Passes and outputs](passes.md) describes what the passes do.
-",
-    ),
-];
-
-/// Where the pages are.
-const FOLDER: &str = "docs/src";
+/// The generated pages, and the type that each begins with. What stands above the list of types is written by hand.
+const PAGES: [(&str, &str); 2] = [("Scene", "reference.md"), ("Pass", "reference-passes.md")];
 
 #[test]
 fn reference_is_what_the_types_say() {
-    let (pages, problems) = generate();
+    let files = SOURCES.iter().flat_map(|folder| files_with(folder, "rs"));
+    // Functions that give defaults may stand in a file of their own.
+    let files = files.filter(|(path, text)| text.contains("Deserialize") || path.contains("scene"));
+    let parsed =
+        files.map(|(path, text)| syn::parse_file(&text).unwrap_or_else(|e| panic!("{path}: {e}")).items);
+    let (pages, problems) = pages_of(&Library(parsed.collect()));
     assert!(problems.is_empty(), "doc comments and code disagree:\n{}", problems.join("\n"));
-    for ((_, file, _), page) in PAGES.iter().zip(&pages) {
-        let path = repository().join(FOLDER).join(file);
+    for ((_, file), page) in PAGES.iter().zip(&pages) {
+        let path = repository().join("docs/src").join(file);
+        let mut committed = std::fs::read_to_string(&path).unwrap();
+        let page = format!("{}\n{page}", committed.split("\n[`").next().unwrap());
         if std::env::var_os("LOBELIA_BLESS").is_some() {
-            std::fs::write(&path, page).unwrap();
+            std::fs::write(&path, &page).unwrap();
+            committed.clone_from(&page);
         }
-        let committed = std::fs::read_to_string(&path).unwrap_or_default();
         let line = committed.lines().zip(page.lines()).position(|(a, b)| a != b).map_or(0, |line| line + 1);
         assert!(
-            committed == *page,
-            "{FOLDER}/{file} is not what the types say (first difference: line {line}). Regenerate it:\n    \
+            committed == page,
+            "docs/src/{file} is not what the types say (first difference: line {line}). Regenerate it:\n    \
              LOBELIA_BLESS=1 cargo test --release reference\nand commit the result."
         );
     }
 }
 
-/// The text of each page, and where doc comments and code disagree.
-fn generate() -> (Vec<String>, Vec<String>) {
-    let mut library = Library(Vec::new());
-    SOURCES.iter().for_each(|source| read(&mut library, Path::new(source)));
-    pages_of(&library)
+/// The arguments of the attributes of one name: `#[derive(…)]`, `#[serde(…)]`.
+fn arguments(attributes: &[Attribute], name: &str) -> Vec<Meta> {
+    let parse = Punctuated::<Meta, Token![,]>::parse_terminated;
+    let named = attributes.iter().filter(|of| of.path().is_ident(name));
+    named.flat_map(|of| of.parse_args_with(parse).unwrap()).collect()
 }
 
+/// Whether there is such an argument, and its value if it has one.
+fn argument(attributes: &[Attribute], name: &str, key: &str) -> Option<Option<String>> {
+    let arguments = arguments(attributes, name);
+    arguments.iter().find(|of| last(of.path()) == key).map(text)
+}
+
+/// The text of `key = "text"`.
+fn text(of: &Meta) -> Option<String> {
+    let Meta::NameValue(of) = of else { return None };
+    let Expr::Lit(value) = &of.value else { return None };
+    if let Lit::Str(text) = &value.lit { Some(text.value()) } else { None }
+}
+
+fn last(path: &Path) -> String {
+    path.segments.last().unwrap().ident.to_string()
+}
+
+/// A doc comment's lines.
+fn docs(attributes: &[Attribute]) -> Vec<String> {
+    let lines = attributes.iter().filter(|of| of.path().is_ident("doc")).filter_map(|of| text(&of.meta));
+    lines.map(|line| line.strip_prefix(' ').unwrap_or(&line).trim_end().to_owned()).collect()
+}
+
+fn name_of(attributes: &[Attribute], own: &syn::Ident) -> String {
+    argument(attributes, "serde", "rename").flatten().unwrap_or_else(|| own.to_string())
+}
+
+/// The name of a type, `(` for a tuple, and the types inside it.
+fn parts(of: &Type) -> (String, Vec<&Type>) {
+    match of {
+        Type::Tuple(tuple) => ("(".to_owned(), tuple.elems.iter().collect()),
+        Type::Path(of) => {
+            let PathArguments::AngleBracketed(inside) = &of.path.segments.last().unwrap().arguments else {
+                return (last(&of.path), Vec::new());
+            };
+            let types = inside.args.iter().filter_map(|inside| match inside {
+                GenericArgument::Type(of) => Some(of),
+                _ => None,
+            });
+            (last(&of.path), types.collect())
+        }
+        _ => (String::new(), Vec::new()),
+    }
+}
+
+/// A struct with named fields, or an enum, that serde reads, and the index of its file.
+#[derive(Clone, Copy)]
+struct Found<'a> {
+    file: usize,
+    name: &'a syn::Ident,
+    attributes: &'a [Attribute],
+    /// Of a struct.
+    fields: Option<&'a Fields>,
+    /// Of an enum.
+    variants: Option<&'a Punctuated<Variant, Token![,]>>,
+}
+
+impl<'a> Found<'a> {
+    /// The variants with their names in scene files.
+    fn variants(self) -> impl Iterator<Item = (String, &'a Variant)> {
+        self.variants.into_iter().flatten().map(|variant| (name_of(&variant.attrs, &variant.ident), variant))
+    }
+}
+
+fn is_default(variant: &Variant) -> bool {
+    variant.attrs.iter().any(|of| of.path().is_ident("default"))
+}
+
+/// The items of all files.
+struct Library(Vec<Vec<Item>>);
+
+impl Library {
+    fn find(&self, wanted: &str) -> Option<Found<'_>> {
+        let mut all =
+            self.0.iter().enumerate().flat_map(|(file, items)| items.iter().map(move |item| (file, item)));
+        all.find_map(|(file, item)| {
+            let (name, attributes, fields, variants) = match item {
+                Item::Struct(of) => (&of.ident, &of.attrs, Some(&of.fields), None),
+                Item::Enum(of) => (&of.ident, &of.attrs, None, Some(&of.variants)),
+                _ => return None,
+            };
+            let is_it = name == wanted && argument(attributes, "derive", "Deserialize").is_some();
+            let has_names = fields.is_none_or(|fields| matches!(fields, Fields::Named(_)));
+            (is_it && has_names).then_some(Found { file, name, attributes, fields, variants })
+        })
+    }
+
+    /// Returns the first value that `read` gives for an item, of `file` before any other.
+    fn item<'a, T>(&'a self, file: usize, read: impl Fn(&'a Item) -> Option<T>) -> Option<T> {
+        std::iter::once(&self.0[file]).chain(&self.0).flatten().find_map(read)
+    }
+
+    /// The value of a function whose body is one expression.
+    fn function(&self, file: usize, name: &str) -> Option<&Expr> {
+        self.item(file, |item| match item {
+            Item::Fn(of) if of.sig.ident == name => value_of(&of.block),
+            _ => None,
+        })
+    }
+
+    /// The value of a type's own `Default::default`.
+    fn own_default(&self, found: Found) -> Option<&Expr> {
+        self.item(found.file, |item| {
+            let Item::Impl(of) = item else { return None };
+            let is_it = last(&of.trait_.as_ref()?.1) == "Default" && found.name == &parts(&of.self_ty).0;
+            let [ImplItem::Fn(function)] = of.items.as_slice() else { return None };
+            value_of(&function.block).filter(|_| is_it)
+        })
+    }
+
+    /// The default of a field as a scene file would write it, if it has one: `Some(None)` if it is too complicated.
+    fn default_of(&self, found: Found, field: &Field) -> Option<Option<String>> {
+        let function = argument(&field.attrs, "serde", "default");
+        if let Some(Some(path)) = &function {
+            if let Some(number) = path.strip_prefix("number::<") {
+                return Some(Some(number.trim_end_matches('>').to_owned()));
+            }
+            let body = self.function(found.file, path.rsplit("::").next().unwrap());
+            return Some(body.and_then(|body| self.evaluate(found, body)));
+        }
+        if function.is_none() {
+            argument(found.attributes, "serde", "default")?;
+            if let Some(body) = self.own_default(found) {
+                let Expr::Struct(body) = body else { return Some(None) };
+                let is_it = |member: &syn::Member| matches!(member, syn::Member::Named(name) if Some(name) == field.ident.as_ref());
+                let value = body.fields.iter().find(|value| is_it(&value.member));
+                return Some(value.and_then(|value| self.evaluate(found, &value.expr)));
+            }
+        }
+        Some(self.default_of_type(&parts(&field.ty).0))
+    }
+
+    fn default_of_type(&self, name: &str) -> Option<String> {
+        let text = match name {
+            "f32" | "f64" | "u8" | "u16" | "u32" | "u64" | "usize" => "0",
+            "bool" => "false",
+            "Vec3" => "(0, 0, 0)",
+            "Option" => "none",
+            "Vec" => "[]",
+            _ => {
+                let found = self.find(name)?;
+                if found.fields.is_some() {
+                    return Some("()".to_owned());
+                }
+                let marked = found.variants().find(|(_, variant)| is_default(variant));
+                return marked
+                    .map_or_else(|| self.evaluate(found, self.own_default(found)?), |it| Some(it.0));
+            }
+        };
+        Some(text.to_owned())
+    }
+
+    /// The value of a simple expression.
+    fn evaluate(&self, found: Found, of: &Expr) -> Option<String> {
+        let list = |parts: &Punctuated<Expr, Token![,]>| -> Option<String> {
+            let parts: Option<Vec<String>> = parts.iter().map(|part| self.evaluate(found, part)).collect();
+            Some(parts?.join(", "))
+        };
+        let joined = |path: &Path| -> String {
+            path.segments.iter().map(|step| step.ident.to_string()).collect::<Vec<_>>().join("::")
+        };
+        let text = match of {
+            Expr::Lit(value) => return literal(&value.lit),
+            Expr::MethodCall(call) if call.args.is_empty() => return self.evaluate(found, &call.receiver),
+            Expr::Tuple(tuple) => format!("({})", list(&tuple.elems)?),
+            Expr::Macro(of) if of.mac.path.is_ident("vec") => {
+                format!("[{}]", list(&of.mac.parse_body_with(Punctuated::parse_terminated).ok()?)?)
+            }
+            Expr::Call(call) => {
+                let Expr::Path(path) = &*call.func else { return None };
+                match joined(&path.path).as_str() {
+                    "Some" => list(&call.args)?,
+                    "Vec3::splat" => format!("({})", vec![list(&call.args)?; 3].join(", ")),
+                    "Vec::new" => "[]".to_owned(),
+                    other => match other.strip_suffix("::default") {
+                        Some(of) => return self.default_of_type(of),
+                        None => return self.evaluate(found, self.function(found.file, other)?),
+                    },
+                }
+            }
+            Expr::Path(path) => match joined(&path.path).as_str() {
+                "None" => "none".to_owned(),
+                "Vec3::X" => "(1, 0, 0)".to_owned(),
+                "Vec3::Y" => "(0, 1, 0)".to_owned(),
+                "Vec3::Z" => "(0, 0, 1)".to_owned(),
+                "Vec3::ZERO" => "(0, 0, 0)".to_owned(),
+                "Vec3::ONE" => "(1, 1, 1)".to_owned(),
+                other => other.split_once("::")?.1.to_owned(),
+            },
+            // A variant with fields is short where all of these have defaults of their own.
+            Expr::Struct(of) => {
+                let (name, variant) = found.variants().find(|(name, _)| *name == last(&of.path))?;
+                let mut fields = variant.fields.iter();
+                let all = fields.all(|field| argument(&field.attrs, "serde", "default").is_some());
+                all.then(|| format!("{name}()"))?
+            }
+            _ => return None,
+        };
+        Some(text)
+    }
+}
+
+fn value_of(block: &syn::Block) -> Option<&Expr> {
+    if let [Stmt::Expr(value, None)] = block.stmts.as_slice() { Some(value) } else { None }
+}
+
+/// A literal as a scene file has it: without its type and trailing zeros.
+fn literal(of: &Lit) -> Option<String> {
+    match of {
+        Lit::Str(text) => Some(format!("{:?}", text.value())),
+        Lit::Bool(value) => Some(value.value.to_string()),
+        Lit::Int(number) => Some(number.base10_digits().to_owned()),
+        Lit::Float(number) => Some(number.base10_digits().trim_end_matches(".0").to_owned()),
+        _ => None,
+    }
+}
+
+/// Reads the sentence `Default VALUE.` or `Default: phrase.` in a doc comment: the value, whether
+/// it is exact, and the comment without a sentence that only gives the value.
+fn said(docs: &str) -> Option<(String, bool, String)> {
+    let start = if docs.starts_with("Default") { 0 } else { docs.find(". Default")? + 2 };
+    let end = docs[start..].find(". ").map_or(docs.len(), |end| start + end + 1);
+    let body = docs[start..end].trim_end_matches('.').strip_prefix("Default")?;
+    let without = format!("{}{}", &docs[..start], docs[end..].trim_start()).trim_end().to_owned();
+    if let Some(phrase) = body.strip_prefix(": ") {
+        return Some((phrase.to_owned(), false, without));
+    }
+    let body = body.trim_start();
+    let closed = |by: char| Some(body[1..].find(by)? + 2);
+    let length = match body.chars().next()? {
+        quote @ ('`' | '"') => closed(quote)?,
+        '(' => closed(')')?,
+        '[' => closed(']')?,
+        '0'..='9' => {
+            let is_exponent = |at: usize| body[at..].starts_with("e-");
+            let mut ends = body.match_indices(|c: char| c.is_alphabetic() || ":,".contains(c));
+            ends.find(|(at, _)| !is_exponent(*at)).map_or(body.len(), |(at, _)| at)
+        }
+        _ => body.find([' ', ':', ',']).unwrap_or(body.len()),
+    };
+    let rest = if length < body.len() { docs.to_owned() } else { without };
+    Some((body[..length].trim_matches('`').trim().to_owned(), true, rest))
+}
+
+/// A value as it is compared: no digit groups, no spaces, no `.0`.
+fn plain(value: &str) -> String {
+    value.replace([' ', '_'], "").replace(".0,", ",").replace(".0)", ")")
+}
+
+/// The text of each page, and where doc comments and code disagree.
 fn pages_of(library: &Library) -> (Vec<String>, Vec<String>) {
-    let root = library.0.iter().find_map(|source| {
-        let of = source.types.iter().find(|of| of.name == ROOT)?;
-        Some(Found { source, of })
-    });
     let mut sections = Vec::new();
-    collect(library, root.expect("the root type is in SOURCES"), &mut sections, "");
-    let mut problems = Vec::new();
-    let mut texts = Vec::new();
-    for (number, (_, _, header)) in PAGES.iter().enumerate() {
-        let text = (*header).to_owned();
-        let mut page = Page { library, sections: &sections, number, text, problems: Vec::new() };
-        page.contents();
-        sections.iter().filter(|section| section.page == number).for_each(|section| page.section(section));
+    collect(library, PAGES[0].0, &mut sections);
+    let (mut texts, mut problems) = (Vec::new(), Vec::new());
+    for number in 0..PAGES.len() {
+        let mut page =
+            Page { library, sections: &sections, number, text: String::new(), problems: Vec::new() };
+        let own = || sections.iter().filter(move |section| section.1 == number);
+        let links: Vec<String> =
+            own().map(|section| page.link_to(&section.0.name.to_string()).unwrap()).collect();
+        let _ = writeln!(page.text, "{}", links.join(" · "));
+        own().for_each(|section| page.section(section.0));
         texts.push(page.text);
         problems.extend(page.problems);
     }
     (texts, problems)
 }
 
-fn read(library: &mut Library, path: &Path) {
-    let full = repository().join(path);
-    if full.is_dir() {
-        let mut entries: Vec<_> =
-            std::fs::read_dir(&full).unwrap().map(|entry| entry.unwrap().file_name()).collect();
-        entries.sort();
-        entries.iter().for_each(|entry| read(library, &path.join(entry)));
-    } else if path.extension().is_some_and(|extension| extension == "rs") {
-        let name = path.to_string_lossy().replace('\\', "/");
-        library.0.push(parse(&name, &std::fs::read_to_string(&full).unwrap()));
-    }
-}
-
-/// A type with the heading of its section and its page.
-struct Section<'a> {
-    found: Found<'a>,
-    heading: String,
-    page: usize,
-}
-
-/// `found` and all types that it uses, each before what it uses itself.
-fn collect<'a>(library: &'a Library, found: Found<'a>, sections: &mut Vec<Section<'a>>, user: &str) {
-    if sections.iter().any(|section| section.found.is(&found)) {
+/// The type `name` with the index of its page, and all types that it uses, each before what it uses itself.
+fn collect<'a>(library: &'a Library, name: &str, sections: &mut Vec<(Found<'a>, usize)>) {
+    let Some(found) = library.find(name) else { return };
+    if sections.iter().any(|(section, _)| section.name == name) {
         return;
     }
-    let name = &found.of.name;
-    let taken = sections.iter().any(|section| section.found.of.name == *name);
-    let heading = if taken { format!("{name} of {user}") } else { name.clone() };
-    let begun = PAGES.iter().position(|(first, _, _)| first == name);
-    let page = begun.or(sections.last().map(|section| section.page)).unwrap_or(0);
-    sections.push(Section { found, heading, page });
-    let mut used = Vec::new();
-    match &found.of.kind {
-        Kind::Struct(fields) => used.extend(fields.iter().map(|field| field.of.as_str())),
-        Kind::Enum(variants) => {
-            for variant in variants {
-                match &variant.payload {
-                    Payload::None => {}
-                    Payload::Tuple(of) => used.extend(of.iter().map(String::as_str)),
-                    Payload::Fields(fields) => used.extend(fields.iter().map(|field| field.of.as_str())),
-                }
-            }
-        }
-    }
-    for of in used {
-        for word in of.split(|c: char| !c.is_alphanumeric() && c != '_') {
-            if let Some(other) = library.find(found.source, word) {
-                collect(library, other, sections, name);
-            }
-        }
+    let begun = PAGES.iter().position(|(first, _)| *first == name);
+    sections.push((found, begun.or(sections.last().map(|section| section.1)).unwrap_or(0)));
+    let variants = found.variants().map(|(_, variant)| &variant.fields);
+    let mut used: Vec<&Type> =
+        found.fields.into_iter().chain(variants).flatten().map(|field| &field.ty).collect();
+    used.reverse();
+    while let Some((name, inside)) = used.pop().map(parts) {
+        collect(library, &name, sections);
+        used.extend(inside.into_iter().rev());
     }
 }
 
 struct Page<'a> {
     library: &'a Library,
-    sections: &'a [Section<'a>],
+    sections: &'a [(Found<'a>, usize)],
     /// Its index in [`PAGES`].
     number: usize,
     text: String,
@@ -158,200 +343,128 @@ struct Page<'a> {
 }
 
 impl Page<'_> {
-    fn contents(&mut self) {
-        let own = self.sections.iter().filter(|section| section.page == self.number);
-        let links = own.map(|section| self.link(section));
-        let links = links.collect::<Vec<_>>().join(" · ");
-        let _ = writeln!(self.text, "\n{links}");
-    }
-
-    fn section(&mut self, section: &Section) {
-        let Section { found, heading, .. } = section;
-        let found = *found;
-        let docs = found.of.docs.iter().map(|line| self.linked(found, line)).collect::<Vec<_>>().join("\n");
-        let _ = write!(self.text, "\n## {heading}\n\n{docs}\n");
-        match &found.of.kind {
-            Kind::Struct(fields) => {
-                if !found.of.serde.contains_key("deny_unknown_fields") {
-                    self.problems.push(format!("{heading} does not refuse unknown fields"));
-                }
-                self.fields(found, heading, fields);
+    fn section(&mut self, found: Found) {
+        let name = found.name.to_string();
+        let lines: Vec<String> = docs(found.attributes).iter().map(|line| self.linked(found, line)).collect();
+        let _ = write!(self.text, "\n## {name}\n\n{}\n", lines.join("\n"));
+        if let Some(fields) = found.fields {
+            if argument(found.attributes, "serde", "deny_unknown_fields").is_none() {
+                self.problems.push(format!("{name} does not refuse unknown fields"));
             }
-            Kind::Enum(variants) => self.variants(found, heading, variants),
+            return self.fields(found, &name, fields);
+        }
+        self.text += "\n| value | meaning |\n| --- | --- |\n";
+        for (name, variant) in found.variants() {
+            let (written, more) = self.written_variant(&name, &variant.fields);
+            let docs = cell(&self.linked(found, &docs(&variant.attrs).join(" ")));
+            let default = if is_default(variant) { " The default." } else { "" };
+            let _ = writeln!(self.text, "| `{written}` | {docs}{more}{default} |");
+        }
+        for (variant, of) in found.variants().filter(|(_, of)| matches!(of.fields, Fields::Named(_))) {
+            let _ = writeln!(self.text, "\nFields of `{variant}(…)`:");
+            self.fields(found, &format!("{name}::{variant}"), &of.fields);
         }
     }
 
-    fn fields(&mut self, found: Found, place: &str, fields: &[Field]) {
+    fn fields(&mut self, found: Found, place: &str, fields: &Fields) {
         self.text += "\n| field | type | default | meaning |\n| --- | --- | --- | --- |\n";
         for field in fields {
-            let place = format!("{place}.{}", field.name);
-            let of = self.written_type(found, &field.of);
-            let (default, meaning) = self.default_and_meaning(found, &place, field);
-            let _ = writeln!(self.text, "| `{}` | {of} | {default} | {meaning} |", field.name);
+            let name = name_of(&field.attrs, field.ident.as_ref().unwrap());
+            let of = self.written_type(&field.ty);
+            let (default, meaning) = self.default_and_meaning(found, &format!("{place}.{name}"), field);
+            let _ = writeln!(self.text, "| `{name}` | {of} | {default} | {} |", cell(&meaning));
         }
     }
 
     fn default_and_meaning(&mut self, found: Found, place: &str, field: &Field) -> (String, String) {
-        let docs = self.linked(found, &field.docs.join(" "));
+        let docs = self.linked(found, &docs(&field.attrs).join(" "));
         if docs.is_empty() {
             self.problems.push(format!("{place} has no doc comment"));
         }
-        let Some(code) = self.library.default_of(found, field) else {
-            return ("required".to_owned(), cell(&docs));
-        };
-        match (said(&docs), code) {
-            (Some(said), code) => {
-                let differs = code.filter(|code| !code.contains("()") && plain(code) != plain(&said.value));
-                if let Some(code) = differs.filter(|_| said.exact) {
-                    let value = &said.value;
+        match (said(&docs), self.library.default_of(found, field)) {
+            (_, None) => ("required".to_owned(), docs),
+            (Some((value, exact, rest)), Some(code)) => {
+                let differs =
+                    code.filter(|code| exact && !code.contains("()") && plain(code) != plain(&value));
+                if let Some(code) = differs {
                     self.problems.push(format!("{place}: the comment says default {value}, the code {code}"));
                 }
-                let value = if said.exact { format!("`{}`", said.value) } else { said.value };
-                (cell(&value), cell(&said.rest))
+                (cell(&if exact { format!("`{value}`") } else { value }), rest)
             }
-            (None, Some(code)) if code == "none" => (code, cell(&docs)),
-            (None, Some(code)) => (format!("`{code}`"), cell(&docs)),
-            (None, None) => {
+            (None, Some(Some(code))) => (if code == "none" { code } else { format!("`{code}`") }, docs),
+            (None, Some(None)) => {
                 self.problems.push(format!("{place}: say the default in the doc comment"));
-                (String::new(), cell(&docs))
+                (String::new(), docs)
             }
         }
     }
 
-    fn variants(&mut self, found: Found, place: &str, variants: &[Variant]) {
-        self.text += "\n| value | meaning |\n| --- | --- |\n";
-        for variant in variants {
-            let (written, more) = match &variant.payload {
-                Payload::None => (variant.name.clone(), String::new()),
-                Payload::Fields(_) => (format!("{}(…)", variant.name), " Fields below.".to_owned()),
-                Payload::Tuple(of) => self.written_tuple(found, &variant.name, of),
-            };
-            let docs = self.linked(found, &variant.docs.join(" "));
-            let default = if variant.is_default { " The default." } else { "" };
-            let _ = writeln!(self.text, "| `{written}` | {}{more}{default} |", cell(&docs));
-        }
-        for variant in variants {
-            if let Payload::Fields(fields) = &variant.payload {
-                let _ = writeln!(self.text, "\nFields of `{}(…)`:", variant.name);
-                self.fields(found, &format!("{place}::{}", variant.name), fields);
+    /// How a variant is written, and what belongs between its brackets.
+    fn written_variant(&self, name: &str, fields: &Fields) -> (String, String) {
+        let of = match fields {
+            Fields::Unit => return (name.to_owned(), String::new()),
+            Fields::Named(_) => return (format!("{name}(…)"), " Fields below.".to_owned()),
+            Fields::Unnamed(fields) => &fields.unnamed[0].ty,
+        };
+        let (inside, holds) = match parts(of).0.as_str() {
+            "Vec3" => ("x, y, z", None),
+            "PathBuf" | "String" => ("\"…\"", None),
+            "f32" | "u32" => ("number", None),
+            "Vec" => ("[…]", Some("Holds a")),
+            inner => {
+                let is_struct = self.library.find(inner).is_some_and(|inner| inner.fields.is_some());
+                ("…", Some(if is_struct { "Has the fields of" } else { "Holds a" }))
             }
-        }
+        };
+        let holds = holds.map(|holds| format!(" {holds} {}.", self.written_type(of)));
+        (format!("{name}({inside})"), holds.unwrap_or_default())
     }
 
-    /// How a variant with a value is written, and what belongs there.
-    fn written_tuple(&self, found: Found, name: &str, of: &[String]) -> (String, String) {
-        let [of] = of else { return (format!("{name}(…)"), format!(" Holds ({}).", of.join(", "))) };
-        match of.as_str() {
-            "Vec3" => (format!("{name}(x, y, z)"), String::new()),
-            "PathBuf" | "String" => (format!("{name}(\"…\")"), String::new()),
-            "f32" | "u32" => (format!("{name}(number)"), String::new()),
-            _ if of.starts_with("Vec<") => {
-                (format!("{name}([…])"), format!(" Holds a {}.", self.written_type(found, of)))
-            }
-            _ => {
-                let is_struct = self
-                    .library
-                    .find(found.source, of)
-                    .is_some_and(|inner| matches!(inner.of.kind, Kind::Struct(_)));
-                let holds = if is_struct { "Has the fields of" } else { "Holds a" };
-                (format!("{name}(…)"), format!(" {holds} {}.", self.written_type(found, of)))
-            }
-        }
-    }
-
-    fn link(&self, section: &Section) -> String {
-        let file = if section.page == self.number { "" } else { PAGES[section.page].1 };
-        format!("[`{}`]({file}#{})", section.heading, anchor(&section.heading))
-    }
-
-    fn written_type(&self, found: Found, of: &str) -> String {
-        let inside = |outer: &str| of.strip_prefix(outer).and_then(|rest| rest.strip_suffix('>'));
-        if let Some(inner) = inside("Option<") {
-            return self.written_type(found, inner);
-        }
-        if let Some(inner) = inside("Vec<") {
-            return format!("list of {}", self.written_type(found, inner));
-        }
-        if let Some(inner) = of.strip_prefix('(').and_then(|rest| rest.strip_suffix(')')) {
-            let parts: Vec<String> = inner.split(", ").map(|part| self.written_type(found, part)).collect();
-            return format!("({})", parts.join(", "));
-        }
-        match of {
+    fn written_type(&self, of: &Type) -> String {
+        let (name, inside) = parts(of);
+        let inside: Vec<String> = inside.into_iter().map(|of| self.written_type(of)).collect();
+        match name.as_str() {
+            "Option" => inside.concat(),
+            "Vec" => format!("list of {}", inside.concat()),
+            "(" => format!("({})", inside.join(", ")),
             "f32" | "f64" => "number".to_owned(),
             "u32" | "u64" => "whole number".to_owned(),
             "bool" => "`true` or `false`".to_owned(),
             "String" => "text".to_owned(),
             "PathBuf" => "path".to_owned(),
             "Vec3" => "`(x, y, z)`".to_owned(),
-            _ => self.link_to(found, of).unwrap_or_else(|| format!("`{of}`")),
+            name => self.link_to(name).unwrap_or_else(|| format!("`{name}`")),
         }
     }
 
-    fn link_to(&self, found: Found, name: &str) -> Option<String> {
-        let other = self.library.find(found.source, name)?;
-        self.sections.iter().find(|section| section.found.is(&other)).map(|section| self.link(section))
+    fn link_to(&self, name: &str) -> Option<String> {
+        let (_, page) = self.sections.iter().find(|(section, _)| section.name == name)?;
+        let file = if *page == self.number { "" } else { PAGES[*page].1 };
+        Some(format!("[`{name}`]({file}#{})", anchor(name)))
     }
 
     /// A doc comment with rustdoc's links turned into links of this page, or into the values of constants.
     fn linked(&self, found: Found, docs: &str) -> String {
-        let mut out = String::new();
-        let mut rest = docs;
-        while let Some(start) = rest.find("[`") {
-            let Some(length) = rest[start..].find("`]") else { break };
-            let name = &rest[start + 2..start + length];
-            out += &rest[..start];
-            rest = &rest[start + length + 2..];
-            if rest.starts_with('(') {
-                rest = &rest[rest.find(')').map_or(0, |end| end + 1)..];
-            }
-            let value = match found.source.constants.get(name).map(Vec::as_slice) {
-                Some([Token::Word(value)]) => Some(value.clone()),
-                _ => self
-                    .link_to(found, name.split("::").next().unwrap_or(name))
-                    .filter(|_| !name.contains("::")),
-            };
+        let mut parts = docs.split("[`");
+        let mut out = parts.next().unwrap_or_default().to_owned();
+        for (name, after) in parts.filter_map(|part| part.split_once("`]")) {
+            let rest = after.strip_prefix('(').and_then(|target| Some(target.split_once(')')?.1));
+            let constant = self.library.0[found.file].iter().find_map(|item| match item {
+                Item::Const(syn::ItemConst { ident, expr, .. }) if ident == name => match &**expr {
+                    Expr::Lit(value) => literal(&value.lit),
+                    _ => None,
+                },
+                _ => None,
+            });
+            let value = constant.or_else(|| self.link_to(name));
             out += &value.unwrap_or_else(|| format!("`{}`", name.replace("::", ".")));
+            out += rest.unwrap_or(after);
         }
-        out + rest
+        out
     }
 }
 
 /// Text that stays in one table cell.
 fn cell(text: &str) -> String {
     text.replace('|', "\\|")
-}
-
-#[test]
-fn wrong_and_missing_comments_are_found() {
-    let text = r#"
-        /// A scene.
-        #[derive(Deserialize)]
-        #[serde(deny_unknown_fields)]
-        struct Scene {
-            /// Right, see [`Inner`]. Default 2.
-            #[serde(default = "two")]
-            right: f32,
-            /// Wrong. Default 3.
-            #[serde(default = "two")]
-            wrong: Option<Inner>,
-            #[serde(default)]
-            bare: bool,
-        }
-        /// Inside.
-        #[derive(Deserialize)]
-        struct Inner {
-            /// A number.
-            x: u32,
-        }
-        fn two() -> f32 { 2.0 }
-    "#;
-    let (pages, problems) = pages_of(&Library(vec![parse("a.rs", text)]));
-    assert!(pages[0].contains("| `right` | number | `2` | Right, see [`Inner`](#inner). |"), "{}", pages[0]);
-    assert!(pages[0].contains("| `x` | whole number | required | A number. |"));
-    let expected = [
-        "Scene.wrong: the comment says default 3, the code 2",
-        "Scene.bare has no doc comment",
-        "Inner does not refuse unknown fields",
-    ];
-    assert_eq!(problems, expected);
 }

@@ -94,10 +94,9 @@ def lobelia(options, views, paths, seed, home):
         "visibility=None",
         f'passes=[Render(name: "paths", render: (shading: {shading}))]',
     ]
-    command = [options.program, "run", options.saved / "scene.ron", "--out", home, "--force", "--quiet", "--profile", "--allow-outside"]
+    command = [options.program, "run", options.saved / "scene.ron", "--out", home, "--force", "--quiet"]
     subprocess.run([*command, *(word for value in sets for word in ("--set", value))], check=True)
-    parts = json.loads((home / "metrics.json").read_text())["profile"]["whole"]["parts"]
-    seconds = next(part["wall_secs"] for part in parts if part["kind"] == "pass")
+    seconds = json.loads((home / "run.json").read_text())["passes"][0]["secs"]
     return [read_picture(home / "paths" / f"{k:02}.exr") for k in range(len(views))], seconds
 
 

@@ -42,7 +42,7 @@ def scene(pick):
     if pick([True, False]):
         passes.append('Edit(name: "edited", edits: [Roughness(action: Set(0.2))])')
     if pick([True, False]):
-        passes.append('Render(name: "film", render: (views: Named([]), orbit: (frames: 3, size: 16, format: Apng)))')
+        passes.append('Render(name: "film", render: (views: Named([]), orbit: (frames: 3, size: 16)))')
     passes.append('Evaluate(scores: [(pass: "novel", truth: Photographs)], albedo: SelfMade)')
     passes += [word for word in ["Save()", "Export(formats: [Glb, Ply, Obj])", "View()"] if pick([True, False])]
     lines = ",\n        ".join(passes)
@@ -84,9 +84,9 @@ class Watch:
             pass  # It has ended, or this system does not tell.
 
 
-def run(program, path, out, resume, watch, kill_after=None, checkpoint="0s", more=()):
+def run(program, path, out, resume, watch, kill_after=None, more=()):
     """Runs a scene; returns the exit code, or None if it was killed."""
-    words = [program, "run", path, "--out", out, "--quiet", "--threads", "2", "--checkpoint", checkpoint, *more]
+    words = [program, "run", path, "--out", out, "--quiet", "--threads", "2", *more]
     with open(os.path.join(os.path.dirname(os.path.dirname(out)), "runs.log"), "a") as log:
         process = subprocess.Popen(words + (["--resume"] if resume else []), stdout=log, stderr=log)
     start = time.monotonic()
@@ -164,7 +164,7 @@ def kill_often(program, path, folder, kills, seed, longest, more):
     dice, watch = random.Random(seed), Watch()
     whole = os.path.join(folder, "whole", "out")
     start = time.monotonic()
-    code = run(program, path, whole, False, watch, checkpoint="2s", more=more)
+    code = run(program, path, whole, False, watch, more=more)
     assert code == 0, f"exit code {code}"
     took = time.monotonic() - start
     done, ends, compared = 0, 0, 0
@@ -174,7 +174,7 @@ def kill_often(program, path, folder, kills, seed, longest, more):
         resume, code = False, None
         while code is None:
             moment = dice.uniform(0.0, longest) if done < kills else None
-            code = run(program, path, broken, resume, watch, moment, "2s", more)
+            code = run(program, path, broken, resume, watch, moment, more)
             resume = os.path.exists(os.path.join(broken, "run.json"))
             done += code is None
         assert code == 0, f"resumed after {done} kills: exit code {code}"

@@ -4,7 +4,7 @@
     python3 tests/speed/measure.py growth PROGRAM [--axes lobes,texels] [--data DIR] [--quick]
     python3 tests/speed/measure.py compare OLD NEW [--runs 3] [--data DIR] [--quick]
 
-`growth` runs scenes that differ in one number at a time and prints a table per number, as in docs/src/scaling.md: seconds of each part, peak memory, and
+`growth` runs scenes that differ in one number at a time and prints a table per number, as in docs/research/growth.md: seconds of each part, peak memory, and
 the exponents p of seconds ~ number^p, between the first and the last row and between the last two. `compare` runs the same scenes with two programs, in
 turn, and prints the least seconds of each part with their ratio; it ends with status 1 where a part of at least a second became slower by a tenth, which
 a quiet machine tells from noise in three runs, and marks that row. DIR is the folder of an object with photographs and masks; without it the numbers of grid cells are left
@@ -24,7 +24,7 @@ HERE = Path(__file__).resolve().parent
 SCENES = HERE.parent.parent / "scenes"
 
 FIT = 'Fit(name: "fit", steps: 200, batch: 4096)'
-FILM = 'Render(name: "picture", render: (views: Named([]), orbit: (frames: 2, size: {size}, format: Mp4)))'
+FILM = 'Render(name: "picture", render: (views: Named([]), orbit: (frames: 2, size: {size})))'
 
 # Numbers of each axis, ascending; --quick leaves out the last.
 AXES = {
@@ -104,7 +104,7 @@ def settings(axis, number, home):
 def measure(program, axis, number, options, home):
     """Seconds of each part of a run, and its peak memory in MiB."""
     scene, changes, threads = settings(axis, number, home)
-    command = [program, "run", scene, "--out", home / "out", "--force", "--quiet", "--profile", "--allow-outside", "--threads", str(threads)]
+    command = [program, "run", scene, "--out", home / "out", "--force", "--quiet", "--profile", "--threads", str(threads)]
     command += ["--data", options.data] if axis == "cells" else []
     for path, value in changes.items():
         command += ["--set", f"{path}={value}"]
@@ -112,16 +112,16 @@ def measure(program, axis, number, options, home):
     if done.returncode != 0:
         sys.exit(f"{axis} {number}:\n{done.stderr}")
     metrics = json.loads((home / "out" / "metrics.json").read_text())
-    return seconds_by_part(metrics["profile"]["whole"]), metrics["peak_rss_mib"]
+    return seconds_by_part((home / "out" / "profile.txt").read_text()), metrics["peak_rss_mib"]
 
 
-def seconds_by_part(whole):
-    """Seconds of the run, of its stages and passes, and of the stages directly within these."""
-    found = {"run": whole["wall_secs"]}
-    outer = whole.get("parts", [])
-    for part in outer + [inner for part in outer for inner in part.get("parts", [])]:
-        if part["kind"] in ("stage", "pass"):
-            found[part["name"]] = found.get(part["name"], 0.0) + part["wall_secs"]
+def seconds_by_part(table):
+    """Seconds of the run and of each of its spans, from the table of --profile."""
+    head, *rows = table.splitlines()
+    found = {"run": float(head.split()[-2])}
+    for row in rows:
+        seconds, _, name = row.split(maxsplit=2)
+        found[name] = float(seconds)
     return found
 
 

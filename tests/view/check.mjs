@@ -11,7 +11,6 @@ import { join, resolve } from "node:path";
 import { pathToFileURL } from "node:url";
 import { Browser, findChromium } from "./browser.mjs";
 import { besidePhotographs, byHand, dropped } from "./hand.mjs";
-import { atWork } from "./live.mjs";
 import { droppedMap, fitted, readForms } from "./maps.mjs";
 import { gltf, photographed, scene, tilt } from "./object.mjs";
 import { paced } from "./pace.mjs";
@@ -132,7 +131,6 @@ try {
     const under = (ron, view) => reference(join(pictures, "scene.ron"), join(pictures, "under"), finer(ron), view);
     const map = { lobelia, address, folder: pictures, dropped, reference: under, side: SIDE };
     console.log(`under the lobes of a dropped map: ${(await droppedMap(browser, map, fail)).toFixed(1)} dB`);
-    await atWork(browser, resolve(program), join(pictures, "photographed.ron"), pictures, fail);
     const kinds = browser.requests.filter((url) => !/^(file|data|blob):/.test(url) && url !== "about:blank");
     if (kinds.length > 0) fail(`the page asked for ${kinds.join(", ")}`);
     if (browser.messages.length > 0) fail(`the console says: ${browser.messages.join("; ")}`);

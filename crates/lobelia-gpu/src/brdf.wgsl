@@ -1,4 +1,4 @@
-// The BRDF of the PhySG supplement (eqs. 1–7), as in `lobelia_math::brdf`.
+// The BRDF of the PhySG supplement (eqs. 1–7), as in `lobelia_sg::brdf`.
 
 // Fresnel term (PhySG supp. eq. 6): F = s + (1 − s)·2^(−(5.55473 x + 6.8316) x) with x = ωo·h; the power of two.
 fn fresnel_power(cos_view_half: f32) -> f32 {

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use wgpu::BufferUsages;
 
-/// What a buffer is for.
+/// Purpose of a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Slot {
     /// The inputs that all points share.
@@ -22,9 +22,9 @@ pub(crate) enum Slot {
     Out,
     /// Sums of workgroups.
     Parts,
-    /// Sums of these.
+    /// Totals of the sums of workgroups.
     Totals,
-    /// What the host reads.
+    /// Data read by the host.
     Back,
 }
 

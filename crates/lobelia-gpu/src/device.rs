@@ -4,6 +4,7 @@ use crate::buffers::Buffers;
 use crate::error::GpuError;
 use crate::kernels::Pipelines;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll, Waker};
 
 /// Bytes of a buffer at most; a call with more takes its points in batches.
 const MOST_BYTES: u64 = 64 << 20;
@@ -14,7 +15,7 @@ const STORAGE_BUFFERS: u32 = 8;
 /// Threads of a workgroup.
 const THREADS: u32 = 64;
 
-/// What calls keep between them.
+/// State kept between calls.
 #[derive(Default)]
 pub(crate) struct State {
     pub(crate) pipelines: Pipelines,
@@ -27,7 +28,7 @@ pub struct Gpu {
     pub(crate) queue: wgpu::Queue,
     name: String,
     state: Mutex<State>,
-    /// What failed and was not reported yet.
+    /// The first failure that is not reported yet.
     failure: Arc<Mutex<Option<String>>>,
     /// Bytes of a buffer at most.
     pub(crate) most_bytes: u64,
@@ -69,10 +70,21 @@ fn rank(adapter: &wgpu::Adapter) -> u8 {
     }
 }
 
+/// The output of a future of wgpu, which is ready at once everywhere but in a browser.
+fn wait_for<F: Future>(future: F) -> F::Output {
+    let (mut future, mut context) = (std::pin::pin!(future), Context::from_waker(Waker::noop()));
+    loop {
+        if let Poll::Ready(output) = future.as_mut().poll(&mut context) {
+            return output;
+        }
+        std::thread::yield_now();
+    }
+}
+
 /// The adapters that can run the kernels, the fastest kind first.
 fn adapters() -> Vec<wgpu::Adapter> {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
-    let mut all = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+    let mut all = wait_for(instance.enumerate_adapters(wgpu::Backends::all()));
     all.retain(computes);
     all.sort_by_key(rank);
     all
@@ -111,7 +123,7 @@ impl Gpu {
             required_limits: limits,
             ..wgpu::DeviceDescriptor::default()
         };
-        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+        let (device, queue) = wait_for(adapter.request_device(&descriptor))
             .map_err(|cause| GpuError::Failed { name: name.clone(), cause: cause.to_string() })?;
         let failure = Arc::new(Mutex::new(None));
         let seen = Arc::clone(&failure);
@@ -126,7 +138,8 @@ impl Gpu {
         &self.name
     }
 
-    /// Runs `call` with pipelines and buffers, one call at a time. What a call that fails leaves is dropped.
+    /// Runs `call` with pipelines and buffers, one call at a time. The state left by a failed call
+    /// is dropped.
     pub(crate) fn with_state<T>(
         &self,
         call: impl FnOnce(&mut State) -> Result<T, GpuError>,

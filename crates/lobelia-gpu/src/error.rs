@@ -1,7 +1,7 @@
-//! What can go wrong.
+//! Errors of the GPU.
 
-use lobelia_math::brdf::Ndf;
-use lobelia_math::shading::ClosedForm;
+use lobelia_sg::brdf::Ndf;
+use lobelia_sg::shading::ClosedForm;
 use thiserror::Error;
 
 /// Why there is no result from a GPU.
@@ -16,7 +16,7 @@ pub enum GpuError {
     /// No adapter has this in its name.
     #[error("no GPU adapter has \"{wanted}\" in its name; there are: {}", found.join(", "))]
     NoSuchAdapter {
-        /// What was searched for.
+        /// The name that was searched for.
         wanted: String,
         /// The names of the adapters that can compute.
         found: Vec<String>,
@@ -26,7 +26,7 @@ pub enum GpuError {
     Failed {
         /// Name of the adapter.
         name: String,
-        /// What `wgpu` says.
+        /// The message of `wgpu`.
         cause: String,
     },
     /// A closed form and distribution of normals without kernels.
@@ -40,11 +40,11 @@ pub enum GpuError {
     /// A slice whose length does not fit the points.
     #[error("{what}: {found} values, where the points need {expected}")]
     Length {
-        /// Which slice.
+        /// Name of the slice.
         what: &'static str,
         /// Its length.
         found: usize,
-        /// What it should be.
+        /// The required length.
         expected: usize,
     },
     /// More lobes than the kernels take.

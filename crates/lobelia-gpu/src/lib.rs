@@ -1,10 +1,10 @@
-//! The closed forms of `lobelia-math` on a GPU, forward and adjoint: loops over points × light lobes in WGSL, run by `wgpu`.
+//! The closed forms of `lobelia-sg` on a GPU, forward and adjoint: loops over points × light lobes in WGSL, run by `wgpu`.
 //!
 //! [`Gpu::shade`] and [`Gpu::shade_adjoint`] mean what
-//! [`ClosedForm::shade`](lobelia_math::shading::ClosedForm::shade) and
-//! [`ClosedForm::shade_adjoint`](lobelia_math::shading::ClosedForm::shade_adjoint) mean, in `f32`. They differ from them by rounding, and
+//! [`ClosedForm::shade`](lobelia_sg::shading::ClosedForm::shade) and
+//! [`ClosedForm::shade_adjoint`](lobelia_sg::shading::ClosedForm::shade_adjoint) mean, in `f32`. They differ from them by rounding, and
 //! evaluate the specular part of every pair, where accurate shading on the CPU leaves out what it takes for negligible: up to 0.15 % of the
-//! brightest specular radiance of [`Workload`](lobelia_math::workload::Workload) with 128 lobes, and more where broad and sharp lobes mix. Sums have a fixed order: on one device, the
+//! brightest specular radiance of [`Workload`](lobelia_sg::workload::Workload) with 128 lobes, and more where broad and sharp lobes mix. Sums have a fixed order: on one device, the
 //! same call has the same result every time.
 //!
 //! | module | holds |
@@ -15,7 +15,7 @@
 //! | `device` | adapters, the device and its failures |
 //! | `error` | errors |
 //!
-//! The files `*.wgsl` have the names of the files of `lobelia-math` that they follow.
+//! The files `*.wgsl` have the names of the files of `lobelia-sg` that they follow.
 
 mod buffers;
 mod device;

@@ -1,4 +1,4 @@
-// What the loops exchange with a model, which defines `Point`, `Frozen` and `Sums`: `lobelia_math::model` with two specular terms.
+// What the loops exchange with a model, which defines `Point`, `Frozen` and `Sums`: `lobelia_sg::model` with two specular terms.
 
 // A light lobe with the terms of its sharpness.
 struct Lobe {

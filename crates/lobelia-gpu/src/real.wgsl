@@ -1,4 +1,4 @@
-// Numbers with the operations of `lobelia_math::real`.
+// Numbers with the operations of `lobelia_sg::real`.
 
 const PI = 3.141592653589793;
 

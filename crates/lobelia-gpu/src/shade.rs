@@ -5,12 +5,12 @@ use crate::device::{Gpu, State};
 use crate::error::GpuError;
 use crate::kernels::{Kernel, Model};
 use bytemuck::cast_slice;
-use lobelia_math::brdf::{Ndf, SpecularAdjoint, SpecularValue};
-use lobelia_math::columns::{ChunkSums, LOBE_COLUMNS, LobeColumns, SharedGradient};
-use lobelia_math::lighting::Lighting;
-use lobelia_math::lobe::Lobe;
-use lobelia_math::sample::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
-use lobelia_math::shading::{ClosedForm, PairLoops, ShadeCall};
+use lobelia_sg::brdf::{Ndf, SpecularAdjoint, SpecularValue};
+use lobelia_sg::columns::Lighting;
+use lobelia_sg::columns::{ChunkSums, LOBE_COLUMNS, LobeColumns, SharedGradient};
+use lobelia_sg::columns::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
+use lobelia_sg::sg::Lobe;
+use lobelia_sg::shading::{ClosedForm, PairLoops, ShadeCall};
 use std::ops::Range;
 
 /// Points of a workgroup.
@@ -24,7 +24,7 @@ const TWO_VECTORS: usize = 8;
 /// Lobes at most: a software driver may end all loops of a thread after 65,535 turns in sum, and says nothing.
 pub(crate) const MOST_LOBES: usize = 4096;
 
-/// What [`Gpu::shade_adjoint`] writes.
+/// Outputs of [`Gpu::shade_adjoint`].
 #[derive(Debug)]
 pub struct Adjoints<'a> {
     /// Adjoints of the inputs of each point.

@@ -1,7 +1,6 @@
 //! Curves as SVG, in the colors of the page.
 
-use crate::report::html::text::escaped;
-use std::fmt::Write as _;
+use crate::report::html::escaped;
 
 /// Size of a chart and of the margins around its plot, in units of its own.
 const WIDTH: f64 = 480.0;
@@ -12,27 +11,13 @@ const TOP: f64 = 30.0;
 const BOTTOM: f64 = 36.0;
 
 /// A curve.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Series {
+pub(super) struct Series {
     /// Its name, for those who cannot see it.
     pub name: String,
     /// Number of its color.
     pub color: usize,
     /// Its points; those that are not finite are left out.
     pub points: Vec<[f64; 2]>,
-}
-
-/// A plot of curves over a common axis.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Plot {
-    /// Its title, with the unit.
-    pub title: String,
-    /// The horizontal axis, with its unit.
-    pub across: String,
-    /// Whether the vertical axis is logarithmic; values that are not positive are left out then.
-    pub logarithmic: bool,
-    /// The curves.
-    pub series: Vec<Series>,
 }
 
 /// An axis: its ends in plotted values, and the values that are marked.
@@ -94,89 +79,67 @@ fn short(value: f64) -> String {
     }
 }
 
-/// The chart as an SVG element; empty if no curve has a point.
-pub fn svg(chart: &Plot) -> String {
-    let series: Vec<Series> = chart.series.iter().map(|series| plotted(series, chart.logarithmic)).collect();
-    let points = || series.iter().flat_map(|series| &series.points);
-    let Some(across) = Axis::around(points().map(|p| p[0]), false) else { return String::new() };
-    let Some(up) = Axis::around(points().map(|p| p[1]), chart.logarithmic) else { return String::new() };
-    let label = escaped(&summary(chart, &series));
-    let mut text = format!(
-        "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{label}\">\n<text class=\"head\" x=\"{LEFT}\" y=\"17\">{}</text>\n",
-        escaped(&chart.title)
-    );
-    draw_axes(&mut text, &across, &up, &chart.across);
-    for series in series.iter().filter(|series| !series.points.is_empty()) {
-        draw_curve(&mut text, series, &across, &up);
+/// The chart of curves over a common axis as an SVG element; empty if no curve has a point. On a
+/// `logarithmic` vertical axis, values that are not positive are left out.
+pub(super) fn svg(
+    title: &str,
+    across_label: &str,
+    logarithmic: bool,
+    series: impl IntoIterator<Item = Series>,
+) -> String {
+    let mut series: Vec<Series> = series.into_iter().collect();
+    for curve in &mut series {
+        curve.points.retain(|p| p.iter().all(|v| v.is_finite()) && (!logarithmic || p[1] > 0.0));
     }
-    text + "</svg>\n"
-}
-
-/// The points of a curve that can be plotted.
-fn plotted(series: &Series, logarithmic: bool) -> Series {
-    let can = |p: &&[f64; 2]| p.iter().all(|v| v.is_finite()) && (!logarithmic || p[1] > 0.0);
-    Series { points: series.points.iter().filter(can).copied().collect(), ..series.clone() }
-}
-
-/// The chart in words.
-fn summary(chart: &Plot, series: &[Series]) -> String {
-    let words = series.iter().filter_map(|series| {
-        let (first, last) = (series.points.first()?, series.points.last()?);
-        Some(format!("{} from {} to {}", series.name, short(first[1]), short(last[1])))
-    });
-    format!("{} over {}: {}", chart.title, chart.across, words.collect::<Vec<_>>().join("; "))
-}
-
-fn left_of(axis: &Axis, value: f64) -> f64 {
-    LEFT + axis.place(value) * (WIDTH - LEFT - RIGHT)
-}
-
-fn top_of(axis: &Axis, value: f64) -> f64 {
-    TOP + (1.0 - axis.place(value)) * (HEIGHT - TOP - BOTTOM)
-}
-
-fn draw_axes(text: &mut String, across: &Axis, up: &Axis, label: &str) {
+    series.retain(|curve| !curve.points.is_empty());
+    let points = || series.iter().flat_map(|series| &series.points);
+    let axes =
+        (Axis::around(points().map(|p| p[0]), false), Axis::around(points().map(|p| p[1]), logarithmic));
+    let (Some(across), Some(up)) = axes else { return String::new() };
+    let x_of = |value: f64| LEFT + across.place(value) * (WIDTH - LEFT - RIGHT);
+    let y_of = |value: f64| TOP + (1.0 - up.place(value)) * (HEIGHT - TOP - BOTTOM);
     let (right, bottom) = (WIDTH - RIGHT, HEIGHT - BOTTOM);
-    // Writing to a String cannot fail.
+    let words = series.iter().map(|Series { name, points, .. }| {
+        format!("{name} from {} to {}", short(points[0][1]), short(points[points.len() - 1][1]))
+    });
+    let in_words = format!("{title} over {across_label}: {}", words.collect::<Vec<_>>().join("; "));
+    let mut text = format!(
+        "<svg class=\"chart\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">\n<text class=\"head\" x=\"{LEFT}\" y=\"17\">{}</text>\n",
+        escaped(&in_words),
+        escaped(title)
+    );
     for mark in &up.marks {
-        let y = top_of(up, *mark);
-        let _ = writeln!(
-            text,
-            "<path class=\"grid\" d=\"M{LEFT} {y:.1}H{right}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
+        let y = y_of(*mark);
+        text += &format!(
+            "<path class=\"grid\" d=\"M{LEFT} {y:.1}H{right}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>\n",
             LEFT - 6.0,
             y + 4.0,
             short(*mark)
         );
     }
     for mark in &across.marks {
-        let x = left_of(across, *mark);
-        let _ = writeln!(
-            text,
-            "<path class=\"tick\" d=\"M{x:.1} {bottom}v4\"/><text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
+        let x = x_of(*mark);
+        text += &format!(
+            "<path class=\"tick\" d=\"M{x:.1} {bottom}v4\"/><text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>\n",
             bottom + 17.0,
             short(*mark)
         );
     }
-    let _ = writeln!(
-        text,
-        "<path class=\"axis\" d=\"M{LEFT} {bottom}H{right}\"/><text x=\"{right}\" y=\"{:.1}\" text-anchor=\"end\" class=\"unit\">{}</text>",
+    text += &format!(
+        "<path class=\"axis\" d=\"M{LEFT} {bottom}H{right}\"/><text x=\"{right}\" y=\"{:.1}\" text-anchor=\"end\" class=\"unit\">{}</text>\n",
         HEIGHT - 4.0,
-        escaped(label)
+        escaped(across_label)
     );
-}
-
-fn draw_curve(text: &mut String, series: &Series, across: &Axis, up: &Axis) {
-    let at = |p: &[f64; 2]| (left_of(across, p[0]), top_of(up, p[1]));
-    let _ = write!(text, "<g class=\"c{}\"><title>{}</title>", series.color, escaped(&series.name));
-    if let [only] = series.points.as_slice() {
-        let (x, y) = at(only);
-        let _ = write!(text, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\"/>");
-    } else {
-        let points: Vec<String> =
-            series.points.iter().map(at).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
-        let _ = write!(text, "<polyline points=\"{}\"/>", points.join(" "));
+    for Series { name, color, points } in &series {
+        let curve = if let [[x, y]] = points.as_slice() {
+            format!("<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"3\"/>", x_of(*x), y_of(*y))
+        } else {
+            let points = points.iter().map(|[x, y]| format!("{:.1},{:.1}", x_of(*x), y_of(*y)));
+            format!("<polyline points=\"{}\"/>", points.collect::<Vec<_>>().join(" "))
+        };
+        text += &format!("<g class=\"c{color}\"><title>{}</title>{curve}</g>\n", escaped(name));
     }
-    *text += "</g>\n";
+    text + "</svg>\n"
 }
 
 #[cfg(test)]
@@ -184,8 +147,7 @@ mod tests {
     use super::*;
 
     fn chart(points: &[[f64; 2]], logarithmic: bool) -> String {
-        let series = vec![Series { name: "a<b".into(), color: 1, points: points.to_vec() }];
-        svg(&Plot { title: "loss".into(), across: "steps".into(), logarithmic, series })
+        svg("loss", "steps", logarithmic, [Series { name: "a<b".into(), color: 1, points: points.to_vec() }])
     }
 
     #[test]

@@ -1,7 +1,5 @@
-use super::data::{FitFinding, FitLog, PassReport, PassViews, ReportPicture, RunReport, ViewReport};
 use super::*;
-use crate::report::scores::{PassScores, Scores, ViewScores};
-use crate::report::srgb::SrgbScores;
+use crate::report::published::SrgbScores;
 use indexmap::IndexMap;
 
 fn view_scores(name: &str, psnr: f64) -> ViewScores {
@@ -200,4 +198,10 @@ fn many_views_are_folded_and_too_many_runs_refused() {
     let error = html(&vec![RunReport::default(); 9]).unwrap_err();
     assert!(error.to_string().contains("1 to 8 runs, not 9"), "{error}");
     assert!(filled("no slot", &[("{{A}}", String::new())]).is_err());
+}
+
+#[test]
+fn nothing_of_the_text_is_markup() {
+    assert_eq!(escaped("<a href='x'>\"&\"</a>"), "&lt;a href=&#39;x&#39;&gt;&quot;&amp;&quot;&lt;/a&gt;");
+    assert_eq!(escaped("a\0b\x1b[1m\nc\td – é"), "ab[1m\nc\td – é");
 }

@@ -1,94 +1,85 @@
 //! Whether the passes of a scene make sense, each by itself and in their order.
 
-use crate::codec::video::has_frames_of;
-use crate::math::brdf::Ndf;
-use crate::scene::description::Scene;
+use crate::scene::description::{Albedo, Gloss, Light, Roughness, Scene, SpecularAlbedo, Surface};
 use crate::scene::diagnostic::nearest;
-use crate::scene::edit::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
-use crate::scene::evaluate::{EvaluatePass, LayerTruth, Truth, VIEW};
-use crate::scene::fit::{FitPass, FitShading, ShapePass};
-use crate::scene::light::Light;
-use crate::scene::material::{Albedo, Gloss, Roughness, SpecularAlbedo};
-use crate::scene::output::{ExportPass, ExportScale};
-use crate::scene::passes::{EditPass, Pass, RelightPass};
-use crate::scene::render::{Orbit, OrbitFormat, RenderSettings, Shading, ViewChoice};
-use crate::scene::surface::Surface;
-use crate::scene::validate::checks::Checks;
-use crate::scene::validate::light::light_source;
+use crate::scene::passes::{
+    EvaluatePass, ExportPass, ExportScale, FitPass, FitShading, LayerTruth, Pass, Rates, ShapePass, Truth,
+    VIEW,
+};
+use crate::scene::render::{
+    ColorAction, DiffuseAction, Edit, Orbit, Region, RenderSettings, ScalarAction, Shading,
+};
+use crate::scene::validate::light_source;
+use crate::scene::validate::place::Place;
 use crate::scene::views::Views;
+use lobelia_sg::brdf::Ndf;
 use std::path::{Component, Path, PathBuf};
 
 /// Most passes of a scene file.
 const MOST_PASSES: usize = 1000;
-
-/// Fewest paths per pixel of a picture whose noise is filtered away.
-const LEAST_DENOISED: u32 = 4;
-
 /// Most points of a stroke.
-const MOST_STROKE_POINTS: u32 = 256;
+const MOST_STROKE_POINTS: usize = 256;
 
 /// Checks every pass of the scene.
-pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
+pub(super) fn passes(at: &Place, scene: &mut Scene) {
     if scene.passes.len() > MOST_PASSES {
         let problem = format!("there are {} passes", scene.passes.len());
-        return checks.fail("passes", problem, format!("expected at most {MOST_PASSES}"), "");
+        return at.fail(problem, format!("expected at most {MOST_PASSES}"), "");
     }
+    // Passes change, as paths are resolved in place; the rest of the scene does not.
+    let mut passes = std::mem::take(&mut scene.passes);
+    let shows = |pass: &&Pass| matches!(pass, Pass::Edit(_) | Pass::Relight(_));
+    let shown: Vec<String> = passes.iter().filter(shows).map(|pass| pass.name().to_owned()).collect();
     let mut fitted = false;
-    for (index, pass) in scene.passes.iter().enumerate() {
-        let (at, earlier) = (format!("passes.{index}"), &scene.passes[..index]);
-        own_name(checks, &at, pass, earlier);
-        settings(checks, &at, pass, scene, earlier);
-        known_to_published(checks, &at, pass, scene);
+    for index in 0..passes.len() {
+        let at = at.at(index);
+        let (earlier, rest) = passes.split_at_mut(index);
+        let pass = &mut rest[0];
+        let is_taken = earlier.iter().any(|other| other.name().eq_ignore_ascii_case(pass.name()));
+        let help = "A pass writes into OUT/<name>/, and some file systems do not tell cases apart.";
+        at.name(pass.name(), "passes", is_taken, help);
+        match pass {
+            Pass::Fit(pass) => fit(&at, pass, scene),
+            Pass::Shape(pass) => shape(&at, pass, scene),
+            Pass::Edit(pass) => {
+                if pass.edits.is_empty() {
+                    at.at("edits").fail("there is no edit", "expected at least one edit", "");
+                }
+                edits(&at, &mut pass.edits);
+                pass.light.iter_mut().for_each(|light| light_source(&at.at("light"), light));
+            }
+            Pass::Relight(pass) => {
+                light_source(&at.at("light"), &mut pass.light);
+                edits(&at, &mut pass.edits);
+            }
+            Pass::Evaluate(pass) => evaluate(&at, pass, &scene.views, earlier),
+            Pass::Export(pass) => {
+                export(&at, pass);
+                shown_by(&at, pass.of.as_deref(), &shown);
+            }
+            Pass::Save(pass) => shown_by(&at, pass.of.as_deref(), &shown),
+            Pass::View(pass) => shown_by(&at, pass.of.as_deref(), &shown),
+            Pass::Render(_) => {}
+        }
+        if let Some(settings) = pass.render() {
+            render(&at.at("render"), settings);
+        }
+        known_to_published(&at, pass, scene);
         fitted |= matches!(pass, Pass::Fit(_) | Pass::Shape(_));
         if !fitted {
-            nothing_unknown(checks, &at, pass, scene);
+            nothing_unknown(&at, pass, scene);
         }
     }
-}
-
-/// A pass has a name that can be a folder's, and that no earlier one has.
-fn own_name(checks: &mut Checks, at: &str, pass: &Pass, earlier: &[Pass]) {
-    let path = format!("{at}.name");
-    checks.name(&path, pass.name());
-    if earlier.iter().any(|other| other.name().eq_ignore_ascii_case(pass.name())) {
-        let problem = format!("two passes are called {:?} (case does not count)", pass.name());
-        let help = "A pass writes into OUT/<name>/, and some file systems do not tell cases apart.";
-        checks.fail(&path, problem, "expected another name", help);
-    }
-}
-
-/// Checks what a pass of its kind says.
-fn settings(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene, earlier: &[Pass]) {
-    match pass {
-        Pass::Fit(fit) => self::fit(checks, at, fit, scene),
-        Pass::Shape(shape) => self::shape(checks, at, shape, scene),
-        Pass::Edit(edit) => edit_pass(checks, at, edit),
-        Pass::Relight(relight) => relight_pass(checks, at, relight),
-        Pass::Evaluate(evaluate) => self::evaluate(checks, at, evaluate, scene, earlier),
-        Pass::Export(export) => {
-            self::export(checks, at, export);
-            shown_by(checks, at, export.of.as_deref(), scene);
-        }
-        Pass::Save(save) => shown_by(checks, at, save.of.as_deref(), scene),
-        Pass::View(view) => shown_by(checks, at, view.of.as_deref(), scene),
-        Pass::Render(_) => {}
-    }
-    if let Some(render) = pass.render() {
-        self::render(checks, &format!("{at}.render"), render, &scene.views);
-    }
+    scene.passes = passes;
 }
 
 /// The published formulas have the supplement's NDF alone.
-fn known_to_published(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene) {
-    let Some(field) = published_field(pass) else { return };
-    let path = format!("{at}.{field}");
-    if scene.material.specular.ndf.first() == Ndf::Ggx {
-        checks.fail(
-            &path,
-            "`Published` shading cannot show a material with `ndf: Ggx`",
-            "expected `Accurate` (or `PathTraced`) shading",
-            "The published formulas know the single spherical Gaussian only; or say `ndf: Sg` in `material.specular`.",
-        );
+fn known_to_published(at: &Place, pass: &Pass, scene: &Scene) {
+    let is_ggx = scene.material.specular.ndf.first() == Ndf::Ggx;
+    if let Some(field) = published_field(pass).filter(|_| is_ggx) {
+        let problem = "`Published` shading cannot show a material with `ndf: Ggx`";
+        let help = "The published formulas know the single spherical Gaussian only; or say `ndf: Sg` in `material.specular`.";
+        at.at(field).fail(problem, "expected `Accurate` (or `PathTraced`) shading", help);
     }
 }
 
@@ -107,344 +98,291 @@ pub(crate) fn uses_published(scene: &Scene) -> bool {
 }
 
 /// Before a fit, a pass can only use what the scene file says.
-fn nothing_unknown(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene) {
+fn nothing_unknown(at: &Place, pass: &Pass, scene: &Scene) {
     let light = match pass {
+        Pass::Evaluate(_) => return,
         Pass::Render(_) | Pass::Save(_) | Pass::View(_) => true,
         Pass::Edit(edit) => edit.light.is_none(),
-        Pass::Fit(_) | Pass::Shape(_) | Pass::Relight(_) | Pass::Evaluate(_) | Pass::Export(_) => false,
+        Pass::Fit(_) | Pass::Shape(_) | Pass::Relight(_) | Pass::Export(_) => false,
     };
     let unknown = unknown_parts(scene);
     let missing: Vec<&str> = unknown.into_iter().filter(|part| light || *part != "light").collect();
-    if !missing.is_empty() && !matches!(pass, Pass::Evaluate(_)) {
+    if !missing.is_empty() {
         let problem = format!("this pass needs the {}, which nothing has found yet", missing.join(", "));
-        checks.fail(
-            at,
-            problem,
-            "expected a `Fit` before this pass",
-            "Put a `Fit` pass before it, or give the values.",
-        );
+        let help = "Put a `Fit` pass before it, or give the values.";
+        at.fail(problem, "expected a `Fit` before this pass", help);
     }
 }
 
-/// What the scene leaves to a fit and gives no value for, in plain words.
+/// Names the parts that the scene leaves to a fit and gives no value for, in plain words.
 pub fn unknown_parts(scene: &Scene) -> Vec<&'static str> {
-    let mut parts = Vec::new();
+    let material = &scene.material;
     let open = scene.own_material().is_none();
-    if open && matches!(scene.material.albedo, Albedo::Unknown) {
-        parts.push("diffuse albedo");
-    }
-    let open_gloss = open && !matches!(scene.material.gloss, Gloss::Fixed { .. });
-    if open_gloss && matches!(scene.material.specular.albedo, SpecularAlbedo::Unknown { .. }) {
-        parts.push("specular albedo");
-    }
-    if open_gloss && matches!(scene.material.specular.roughness, Roughness::Unknown { .. }) {
-        parts.push("roughness");
-    }
-    if matches!(scene.light, Light::Unknown(_)) {
-        parts.push("light");
-    }
-    parts
+    let open_gloss = open && !matches!(material.gloss, Gloss::Fixed { .. });
+    let parts = [
+        ("diffuse albedo", open && matches!(material.albedo, Albedo::Unknown)),
+        ("specular albedo", open_gloss && matches!(material.specular.albedo, SpecularAlbedo::Unknown { .. })),
+        ("roughness", open_gloss && matches!(material.specular.roughness, Roughness::Unknown { .. })),
+        ("light", matches!(scene.light, Light::Unknown(_))),
+    ];
+    parts.into_iter().filter(|part| part.1).map(|part| part.0).collect()
 }
 
-fn shape(checks: &mut Checks, at: &str, shape: &ShapePass, scene: &Scene) {
-    let path = |field: &str| format!("{at}.{field}");
-    if matches!(scene.material.gloss, Gloss::Fixed { .. }) {
-        let problem = "known blend weights belong to a known surface";
-        checks.fail("material.gloss", problem, "expected `Auto`, `One` or `Blend(…)`", "");
+fn rates(at: &Place, rates: &Rates) {
+    at.not_negative("albedo", rates.albedo);
+    at.not_negative("light", rates.light);
+    at.not_negative("specular", rates.specular);
+}
+
+fn shape(at: &Place, shape: &ShapePass, scene: &Scene) {
+    let gloss = |problem: &str, help: &str| {
+        at.root().at("material").at("gloss").fail(problem, "expected `Auto`, `One` or `Blend(…)`", help);
+    };
+    match scene.material.gloss {
+        Gloss::Fixed { .. } => gloss("known blend weights belong to a known surface", ""),
+        Gloss::Texels { .. } => gloss(
+            "a surface that is still being found has no texels to give a gloss each",
+            "Find the shape first, export it, and fit `Texels(…)` on that mesh.",
+        ),
+        _ => {}
     }
-    if matches!(scene.material.gloss, Gloss::Texels { .. }) {
-        let problem = "a surface that is still being found has no texels to give a gloss each";
-        let help = "Find the shape first, export it, and fit `Texels(…)` on that mesh.";
-        checks.fail("material.gloss", problem, "expected `Auto`, `One` or `Blend(…)`", help);
-    }
-    checks.count(&path("max_pixels"), shape.max_pixels, 1..=u32::MAX);
-    checks.count(&path("batch"), shape.batch, 1..=u32::MAX);
-    checks.count(&path("silhouette_batch"), shape.silhouette_batch, 1..=u32::MAX);
-    checks.count(&path("blur"), shape.blur, 0..=64);
-    checks.not_negative(&path("silhouette"), shape.silhouette);
-    checks.not_negative(&path("smoothness"), shape.smoothness);
-    checks.not_negative(&path("rates.albedo"), shape.rates.albedo);
-    checks.not_negative(&path("rates.light"), shape.rates.light);
-    checks.not_negative(&path("rates.specular"), shape.rates.specular);
+    at.count("max_pixels", shape.max_pixels, 1..=u32::MAX);
+    at.count("batch", shape.batch, 1..=u32::MAX);
+    at.count("silhouette_batch", shape.silhouette_batch, 1..=u32::MAX);
+    at.count("blur", shape.blur, 0..=64);
+    at.not_negative("silhouette", shape.silhouette);
+    at.not_negative("smoothness", shape.smoothness);
+    rates(&at.at("rates"), &shape.rates);
     if shape.levels.is_empty() {
-        checks.fail(&path("levels"), "there are no levels", "expected at least one grid", "");
+        at.at("levels").fail("there are no levels", "expected at least one grid", "");
     }
     for (i, level) in shape.levels.iter().enumerate() {
-        let path = |field: &str| format!("{at}.levels[{i}].{field}");
-        checks.count(&path("cells"), level.cells, 16..=512);
-        checks.count(&path("texel_cells"), level.texel_cells, 8..=512);
-        checks.count(&path("steps"), level.steps, 1..=u32::MAX);
-        checks.number(&path("rates"), level.rates.0, 1e-6..=1.0);
-        checks.number(&path("rates"), level.rates.1, 1e-6..=1.0);
-        checks.not_negative(&path("pixels"), level.pixels);
+        let at = at.at("levels").at(i);
+        at.count("cells", level.cells, 16..=512);
+        at.count("texel_cells", level.texel_cells, 8..=512);
+        at.count("steps", level.steps, 1..=u32::MAX);
+        at.number("rates", level.rates.0, 1e-6..=1.0);
+        at.number("rates", level.rates.1, 1e-6..=1.0);
+        at.not_negative("pixels", level.pixels);
     }
     if !matches!(scene.surface, Surface::Unknown { .. }) {
         let help = "Write `surface: Unknown()`, or remove the `Shape`.";
-        checks.fail(at, "the surface is given", "expected a surface that is not known", help);
+        at.fail("the surface is given", "expected a surface that is not known", help);
     }
 }
 
-fn fit(checks: &mut Checks, at: &str, fit: &FitPass, scene: &Scene) {
-    let path = |field: &str| format!("{at}.{field}");
-    checks.count(&path("steps"), fit.steps, 1..=u32::MAX);
-    checks.count(&path("max_pixels"), fit.max_pixels, 1..=u32::MAX);
-    checks.count(&path("batch"), fit.batch, 1..=u32::MAX);
-    checks.not_negative(&path("rates.albedo"), fit.rates.albedo);
-    checks.not_negative(&path("rates.light"), fit.rates.light);
-    checks.not_negative(&path("rates.specular"), fit.rates.specular);
+fn fit(at: &Place, fit: &FitPass, scene: &Scene) {
+    at.count("steps", fit.steps, 1..=u32::MAX);
+    at.count("max_pixels", fit.max_pixels, 1..=u32::MAX);
+    at.count("batch", fit.batch, 1..=u32::MAX);
+    rates(&at.at("rates"), &fit.rates);
     let inside = fit.milestones.iter().all(|m| *m > 0.0 && *m < 1.0);
     if !inside || !fit.milestones.is_sorted_by(|a, b| a < b) {
         let problem = format!("milestones are {:?}", fit.milestones);
-        checks.fail(&path("milestones"), problem, "expected rising fractions between 0 and 1", "");
+        at.at("milestones").fail(problem, "expected rising fractions between 0 and 1", "");
     }
-    checks.number(&path("decay"), fit.decay, f32::MIN_POSITIVE..=1.0);
+    at.number("decay", fit.decay, f32::MIN_POSITIVE..=1.0);
+    let cannot = |problem: &str, help: &str| at.fail(problem, "nothing to fit", help);
     if matches!(scene.views, Views::Cameras(_)) {
-        let help = "Use `views: Dataset(…)` or `views: Photographed(…)`, or remove the `Fit`.";
-        checks.fail(at, "a fit needs photographs, and the views are cameras only", "nothing to fit to", help);
-    }
-    let all_fixed = unknown_parts(scene).is_empty()
-        && !matches!(scene.material.albedo, Albedo::Initial(_))
-        && !matches!(scene.light, Light::Initial(_));
-    if all_fixed {
-        checks.fail(
-            at,
-            "everything is fixed, so there is nothing to fit",
-            "nothing to fit",
-            "Remove the `Fit`.",
+        cannot(
+            "a fit needs photographs, and the views are cameras only",
+            "Use `views: Dataset(…)` or `views: Photographed(…)`, or remove the `Fit`.",
         );
+    }
+    let is_initial =
+        matches!(scene.material.albedo, Albedo::Initial(_)) || matches!(scene.light, Light::Initial(_));
+    if unknown_parts(scene).is_empty() && !is_initial {
+        cannot("everything is fixed, so there is nothing to fit", "Remove the `Fit`.");
     }
 }
 
-fn export(checks: &mut Checks, at: &str, export: &ExportPass) {
+fn export(at: &Place, export: &ExportPass) {
     if export.formats.is_empty() {
-        let path = format!("{at}.formats");
-        checks.fail(
-            &path,
-            "there is no format",
-            "expected some of `Glb`, `Ply`, `Obj`, `Usda` and `Usdz`",
-            "",
-        );
+        at.at("formats").fail("there is no format", "expected some of `Glb`, `Usda` and `Usdz`", "");
     }
     let (ExportScale::Factor(scale) | ExportScale::Size(scale)) = export.scale;
-    checks.positive(&format!("{at}.scale"), scale);
+    at.positive("scale", scale);
     if let Some(triangles) = export.triangles {
-        checks.count(&format!("{at}.triangles"), triangles, 4..=u32::MAX);
+        at.count("triangles", triangles, 4..=u32::MAX);
     }
 }
 
-fn edit_pass(checks: &mut Checks, at: &str, pass: &EditPass) {
-    if pass.edits.is_empty() {
-        checks.fail(&format!("{at}.edits"), "there is no edit", "expected at least one edit", "");
-    }
-    edits(checks, at, &pass.edits);
-    if let Some(light) = &pass.light {
-        light_source(checks, &format!("{at}.light"), light);
-    }
-}
-
-fn relight_pass(checks: &mut Checks, at: &str, pass: &RelightPass) {
-    light_source(checks, &format!("{at}.light"), &pass.light);
-    edits(checks, at, &pass.edits);
-}
-
-pub(super) fn edits(checks: &mut Checks, at: &str, edits: &[Edit]) {
-    for (index, edit) in edits.iter().enumerate() {
-        let at = format!("{at}.edits.{index}");
-        let action = format!("{at}.action");
+/// Checks the `edits` of a place.
+pub(super) fn edits(at: &Place, edits: &mut [Edit]) {
+    for (index, edit) in edits.iter_mut().enumerate() {
+        let at = at.at("edits").at(index);
+        let action = at.at("action");
         match edit {
-            Edit::Diffuse { action: DiffuseAction::Texture(_), .. } => {}
+            Edit::Diffuse { action: DiffuseAction::Texture(path), .. } => action.file("0", path),
             Edit::Diffuse { action: DiffuseAction::Set(color), .. }
-            | Edit::Specular { action: ColorAction::Set(color), .. } => checks.color(&action, *color),
+            | Edit::Specular { action: ColorAction::Set(color), .. } => at.color("action", *color),
             Edit::Diffuse { action: DiffuseAction::Scale(factors), .. }
-            | Edit::Specular { action: ColorAction::Scale(factors), .. } => checks.factors(&action, *factors),
+            | Edit::Specular { action: ColorAction::Scale(factors), .. } => at.factors("action", *factors),
             Edit::Diffuse { action: DiffuseAction::Blend { color, weight }, .. }
             | Edit::Specular { action: ColorAction::Blend { color, weight }, .. } => {
-                checks.color(&format!("{action}.color"), *color);
-                checks.number(&format!("{action}.weight"), *weight, 0.0..=1.0);
+                action.color("color", *color);
+                action.number("weight", *weight, 0.0..=1.0);
             }
-            Edit::Roughness { action: scalar, .. } => scalar_action(checks, &action, scalar),
+            Edit::Roughness { action: ScalarAction::Set(value), .. } => at.roughness("action", *value),
+            Edit::Roughness { action: ScalarAction::Scale(factor), .. } => at.not_negative("action", *factor),
+            Edit::Roughness { action: ScalarAction::Blend { value, weight }, .. } => {
+                action.roughness("value", *value);
+                action.number("weight", *weight, 0.0..=1.0);
+            }
         }
-        region(checks, &format!("{at}.region"), edit);
+        let (Edit::Diffuse { region, .. } | Edit::Specular { region, .. } | Edit::Roughness { region, .. }) =
+            edit;
+        self::region(&at.at("region"), region);
     }
 }
 
-fn scalar_action(checks: &mut Checks, path: &str, action: &ScalarAction) {
-    match action {
-        ScalarAction::Set(value) => checks.roughness(path, *value),
-        ScalarAction::Scale(factor) => checks.not_negative(path, *factor),
-        ScalarAction::Blend { value, weight } => {
-            checks.roughness(&format!("{path}.value"), *value);
-            checks.number(&format!("{path}.weight"), *weight, 0.0..=1.0);
-        }
-    }
-}
-
-fn region(checks: &mut Checks, path: &str, edit: &Edit) {
-    match edit.region() {
-        Region::All | Region::Mask(_) => {}
+fn region(at: &Place, region: &mut Region) {
+    let falloff = match region {
+        Region::All => return,
+        Region::Mask(path) => return at.file("0", path),
         Region::Box { min, max, falloff } => {
-            checks.not_negative(&format!("{path}.falloff"), *falloff);
-            checks.finite(&format!("{path}.min"), *min);
-            checks.finite(&format!("{path}.max"), *max);
+            at.finite("min", *min);
+            at.finite("max", *max);
             if min.cmpgt(*max).any() {
-                let path = format!("{path}.max");
-                checks.fail(
-                    &path,
-                    "the box is inside out",
-                    format!("expected no number below min's {min}"),
-                    "",
-                );
+                let expected = format!("expected no number below min's {min}");
+                at.at("max").fail("the box is inside out", expected, "");
             }
+            falloff
         }
         Region::Sphere { center, radius, falloff } => {
-            checks.not_negative(&format!("{path}.falloff"), *falloff);
-            checks.finite(&format!("{path}.center"), *center);
-            checks.positive(&format!("{path}.radius"), *radius);
+            at.finite("center", *center);
+            at.positive("radius", *radius);
+            falloff
         }
         Region::Stroke { points, radius, falloff } => {
-            checks.not_negative(&format!("{path}.falloff"), *falloff);
-            checks.positive(&format!("{path}.radius"), *radius);
-            let count = u32::try_from(points.len()).unwrap_or(u32::MAX);
-            checks.count(&format!("{path}.points"), count, 1..=MOST_STROKE_POINTS);
+            at.positive("radius", *radius);
+            at.length("points", points, MOST_STROKE_POINTS);
             for (index, point) in points.iter().enumerate() {
-                checks.place(&format!("{path}.points.{index}"), *point);
+                at.at("points").point(&index.to_string(), *point);
             }
+            falloff
         }
-    }
+    };
+    at.not_negative("falloff", *falloff);
 }
 
-fn render(checks: &mut Checks, at: &str, render: &RenderSettings, views: &Views) {
-    let path = |field: &str| format!("{at}.{field}");
-    checks.count(&path("samples_per_pixel"), render.samples_per_pixel, 1..=1024);
-    checks.number(&path("exposure"), render.exposure, -20.0..=20.0);
-    if let Shading::PathTraced { spp, max_bounces, denoise, .. } = render.shading {
-        if denoise && spp < LEAST_DENOISED {
-            checks.fail(
-                &path("shading.denoise"),
-                format!("{spp} paths per pixel do not tell how much noise there is"),
-                format!("expected `spp` to be at least {LEAST_DENOISED}"),
-                "Give more paths, e.g. `spp: 16`, or leave `denoise` out.",
-            );
-        }
-        checks.count(&path("shading.spp"), spp, 1..=65536);
-        checks.count(&path("shading.max_bounces"), max_bounces, 1..=64);
+fn render(at: &Place, render: &RenderSettings) {
+    at.count("samples_per_pixel", render.samples_per_pixel, 1..=1024);
+    at.number("exposure", render.exposure, -20.0..=20.0);
+    if let Shading::PathTraced { spp, max_bounces, .. } = render.shading {
+        at.at("shading").count("spp", spp, 1..=65536);
+        at.at("shading").count("max_bounces", max_bounces, 1..=64);
     }
     if let Some(orbit) = &render.orbit {
-        self::orbit(checks, &path("orbit"), orbit);
-    }
-    if let (ViewChoice::Named(names), Views::Cameras(cameras)) = (&render.views, views) {
-        let known = || cameras.iter().map(|camera| camera.name.as_str());
-        for name in names.iter().filter(|name| known().all(|k| k != name.as_str())) {
-            let help = listing("views", name, known());
-            checks.fail(&path("views"), format!("there is no view called {name:?}"), "not a view", help);
-        }
+        self::orbit(&at.at("orbit"), orbit);
     }
 }
 
-fn orbit(checks: &mut Checks, at: &str, orbit: &Orbit) {
-    let path = |field: &str| format!("{at}.{field}");
-    checks.count(&path("frames"), orbit.frames, 1..=10_000);
-    if let Some((first, count)) = orbit.part
-        && (count == 0 || first.checked_add(count).is_none_or(|end| end > orbit.frames))
-    {
-        let expected =
-            format!("expected frames from 0 to {}, and at least one", orbit.frames.saturating_sub(1));
-        checks.fail(
-            &path("part"),
-            format!("({first}, {count}) is no part of the film"),
-            expected,
-            "Give the first frame and how many, e.g. (0, 24).",
-        );
-    }
-    checks.number(&path("elevation_degrees"), orbit.elevation_degrees, -89.0..=89.0);
-    if let Some(radius) = orbit.radius {
-        checks.distance(&path("radius"), radius);
-    }
-    checks.fov(&path("fov_degrees"), orbit.fov_degrees);
-    checks.pixels(&path("size"), orbit.size);
+fn orbit(at: &Place, orbit: &Orbit) {
+    const DEGREES: f32 = 36_000.0;
+    at.count("frames", orbit.frames, 1..=10_000);
+    at.number("elevation_degrees", orbit.elevation_degrees, -89.0..=89.0);
+    orbit.radius.iter().for_each(|radius| at.distance("radius", *radius));
+    at.fov(orbit.fov_degrees);
+    at.pixels("size", orbit.size);
     for (name, side) in [("width", orbit.width), ("height", orbit.height)] {
-        if let Some(side) = side {
-            checks.pixels(&path(name), side);
+        side.iter().for_each(|side| at.pixels(name, *side));
+    }
+    at.count("fps", orbit.fps, 1..=100);
+    let mut earliest = 0.0;
+    for (i, key) in orbit.keys.iter().enumerate() {
+        let at = at.at("keys").at(i);
+        at.number("at", key.at, earliest..=1.0);
+        earliest = key.at;
+        key.angle_degrees.iter().for_each(|angle| at.number("angle_degrees", *angle, -DEGREES..=DEGREES));
+        key.elevation_degrees.iter().for_each(|angle| at.number("elevation_degrees", *angle, -89.0..=89.0));
+        key.radius.iter().for_each(|radius| at.distance("radius", *radius));
+        if [key.angle_degrees, key.elevation_degrees, key.radius].iter().all(Option::is_none) {
+            let expected = "expected some of `angle_degrees`, `elevation_degrees` and `radius`";
+            at.fail("this key gives no value", expected, "");
         }
     }
-    if orbit.format == OrbitFormat::Mp4 && !has_frames_of(orbit.sides()) {
-        let [width, height] = orbit.sides();
-        let help = "8192 × 4320 is the largest common size; `format: Frames` writes PNG files of any.";
-        let expected = "expected at most 35.6 megapixels";
-        checks.fail(at, format!("no video has frames of {width} × {height} pixels"), expected, help);
+    if let Some(sweep) = &orbit.light {
+        let at = at.at("light");
+        sweep.axis.iter().for_each(|axis| at.direction("axis", *axis));
+        at.number("from_degrees", sweep.from_degrees, -DEGREES..=DEGREES);
+        at.number("to_degrees", sweep.to_degrees, -DEGREES..=DEGREES);
     }
-    checks.count(&path("fps"), orbit.fps, 1..=100);
-    super::film::film(checks, at, orbit);
+    if let Some(sweep) = &orbit.material {
+        let pairs = [("roughness", sweep.roughness), ("albedo", sweep.albedo), ("specular", sweep.specular)];
+        for (field, (from, to)) in pairs {
+            at.at("material").not_negative(field, from);
+            at.at("material").not_negative(field, to);
+        }
+    }
 }
 
-fn evaluate(checks: &mut Checks, at: &str, evaluate: &EvaluatePass, scene: &Scene, earlier: &[Pass]) {
+fn evaluate(at: &Place, evaluate: &mut EvaluatePass, views: &Views, earlier: &[Pass]) {
     let EvaluatePass { scores, albedo, normal, mesh, .. } = evaluate;
     if scores.is_empty() && albedo.is_none() && normal.is_none() && mesh.is_none() {
         let help = "Name passes to score, e.g. `scores: [(pass: \"novel\", truth: Photographs)]`.";
-        checks.fail(at, "this pass scores nothing", "expected `scores`, `albedo`, `normal` or `mesh`", help);
+        at.fail("this pass scores nothing", "expected `scores`, `albedo`, `normal` or `mesh`", help);
     }
-    let self_made = matches!(scene.views, Views::Photographed(_));
-    for (index, score) in evaluate.scores.iter().enumerate() {
-        let at = format!("{at}.scores.{index}");
+    let needs_self_made = |at: &Place| {
+        if !matches!(views, Views::Photographed(_)) {
+            let problem = "only `Photographed` views have a self-made truth";
+            let help = "Give a folder of true images: `Folder(\"…\")`.";
+            at.fail(problem, "there is no such truth", help);
+        }
+    };
+    for (index, score) in scores.iter_mut().enumerate() {
+        let at = at.at("scores").at(index);
         let rendered = || earlier.iter().filter(|pass| pass.render().is_some()).map(Pass::name);
         if rendered().all(|name| name != score.pass) {
             let problem = format!("no earlier pass called {:?} renders images", score.pass);
             let help = listing("earlier passes that render", &score.pass, rendered());
-            checks.fail(&format!("{at}.pass"), problem, "expected an earlier Render, Edit or Relight", help);
+            at.at("pass").fail(problem, "expected an earlier Render, Edit or Relight", help);
         }
-        let truth = format!("{at}.truth");
-        file_of_view(checks, &truth, score.truth.files());
-        match score.truth {
-            Truth::Photographs if matches!(scene.views, Views::Cameras(_)) => {
-                checks.fail(&truth, "the views are cameras only", "there are no photographs", "");
-            }
+        let at = at.at("truth");
+        match &mut score.truth {
+            Truth::Photographs => {}
             Truth::SelfMade { spp } => {
-                checks.count(&format!("{truth}.spp"), spp, 1..=65536);
-                needs_self_made(checks, &truth, self_made);
+                at.count("spp", *spp, 1..=65536);
+                needs_self_made(&at);
             }
-            Truth::Photographs | Truth::Folder(_) | Truth::Files { .. } => {}
+            Truth::Folder(folder) => at.folder("0", folder),
+            Truth::Files { folder, file } => files_of_views(&at, folder, file),
         }
     }
-    for (field, truth) in [("albedo", &evaluate.albedo), ("normal", &evaluate.normal)] {
-        let at = format!("{at}.{field}");
-        file_of_view(checks, &at, truth.as_ref().and_then(LayerTruth::files));
-        if matches!(truth, Some(LayerTruth::SelfMade)) {
-            needs_self_made(checks, &at, self_made);
+    for (field, truth) in [("albedo", albedo), ("normal", normal)] {
+        let at = at.at(field);
+        match truth {
+            None => {}
+            Some(LayerTruth::SelfMade) => needs_self_made(&at),
+            Some(LayerTruth::Folder(folder)) => at.folder("0", folder),
+            Some(LayerTruth::Files { folder, file }) => files_of_views(&at, folder, file),
         }
     }
+    mesh.iter_mut().for_each(|path| at.file("mesh", path));
 }
 
 /// The path of a file of each view lies below its folder, and says which view it is of.
-fn file_of_view(checks: &mut Checks, at: &str, files: Option<(&PathBuf, Option<&str>)>) {
-    let Some((folder, Some(file))) = files else { return };
+fn files_of_views(at: &Place, folder: &mut PathBuf, file: &str) {
     let is_below =
         Path::new(file).components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
     let help = format!("For the views of {}, write `file: \"{VIEW}/albedo.png\"`.", folder.display());
     if !file.contains(VIEW) {
         let expected = format!("a path with `{VIEW}`, which stands for the name of a view");
-        checks.fail(&format!("{at}.file"), format!("{file:?} is one file for all views"), expected, help);
+        at.at("file").fail(format!("{file:?} is one file for all views"), expected, help);
     } else if !is_below {
         let problem = format!("{file:?} does not lie in `folder`");
-        checks.fail(&format!("{at}.file"), problem, "expected a path from there, without `..`", help);
+        at.at("file").fail(problem, "expected a path from there, without `..`", help);
     }
+    at.folder("folder", folder);
 }
 
-/// What is saved or exported as a pass shows it must name a pass that shows something else than what was found.
-fn shown_by(checks: &mut Checks, at: &str, of: Option<&str>, scene: &Scene) {
-    let Some(of) = of else { return };
-    let shows = |pass: &&Pass| matches!(pass, Pass::Edit(_) | Pass::Relight(_));
-    let names = || scene.passes.iter().filter(shows).map(Pass::name);
-    if names().all(|name| name != of) {
+/// Checks that `of`, whose object is saved or exported, names one of the Edit and Relight passes.
+fn shown_by(at: &Place, of: Option<&str>, shown: &[String]) {
+    let names = || shown.iter().map(String::as_str);
+    if let Some(of) = of.filter(|of| names().all(|name| name != *of)) {
         let problem = format!("no Edit or Relight pass is called {of:?}");
         let help = listing("passes that edit or relight", of, names());
-        checks.fail(&format!("{at}.of"), problem, "expected the name of an Edit or Relight pass", help);
-    }
-}
-
-fn needs_self_made(checks: &mut Checks, path: &str, self_made: bool) {
-    if !self_made {
-        let help = "Give a folder of true images: `Folder(\"…\")`.";
-        checks.fail(path, "only `Photographed` views have a self-made truth", "there is no such truth", help);
+        at.at("of").fail(problem, "expected the name of an Edit or Relight pass", help);
     }
 }
 

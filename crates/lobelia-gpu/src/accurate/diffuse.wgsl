@@ -1,5 +1,5 @@
 // The integral of an SG times the clamped cosine, in closed form (Tokuyoshi, Ikeda, Kulkarni and Harada 2024):
-// `lobelia_math::accurate::diffuse`.
+// `lobelia_sg::accurate::diffuse`.
 
 // e^(x²)·erfc(x) for x ≥ 0: s·P((1 − px)/(1 + px)) with s = 1/(1 + px), p = 0.36.
 fn scaled_erfc(x: f32) -> f32 {

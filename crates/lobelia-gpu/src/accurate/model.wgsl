@@ -1,4 +1,4 @@
-// The accurate integrals as the loops see them: `lobelia_math::accurate::model`.
+// The accurate integrals as the loops see them: `lobelia_sg::accurate::model`.
 
 fn specular_weights(frozen: Frozen, albedo: vec3<f32>) -> mat2x3<f32> {
     return mat2x3(vec3(1.0), albedo);

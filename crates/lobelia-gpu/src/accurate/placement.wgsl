@@ -1,5 +1,5 @@
 // Where the nodes of the specular integral lie: around the peak of the product of one light SG and one SG of half vectors, in Lambert's
-// chart of half vectors; `lobelia_math::accurate::placement`.
+// chart of half vectors; `lobelia_sg::accurate::placement`.
 
 // Lower bound of n·ω and v·h in the Hessian, which keeps their logarithms bounded near the horizon.
 const COSINE_FLOOR = 0.05;

@@ -1,5 +1,5 @@
 // The terms of a surface point and its specular lobe, and the last part of the adjoint of a point:
-// `lobelia_math::accurate::point` with one SG for the NDF.
+// `lobelia_sg::accurate::point` with one SG for the NDF.
 
 struct Point {
     // Tangent (in the plane of normal and view), bitangent and normal.

@@ -1,5 +1,5 @@
 // Nodes and weights for a Gaussian that the horizon cuts: Gauss rules of the weight v·e^(−(v − t)²/2) on v > 0;
-// `lobelia_math::accurate::rule` with 3 nodes along the clipped direction.
+// `lobelia_sg::accurate::rule` with 3 nodes along the clipped direction.
 
 // A clipped Gaussian: position of its peak, width and mass.
 struct Clipped {

@@ -1,5 +1,5 @@
 // Lobes over which the BRDF is smooth: the irradiance of the lobe, times the mean of the BRDF in four directions, and its adjoint;
-// `lobelia_math::accurate::smooth`.
+// `lobelia_sg::accurate::smooth`.
 
 // Least ratio of the curvatures of light and BRDF; L from which on no lobe is taken for smooth; curvature of all but the NDF.
 const LEAST_SG = 4.0;

@@ -1,5 +1,5 @@
-// The specular integral of one light SG over an SG of half vectors, by 3 × 2 nodes: `lobelia_math::accurate::specular` and its adjoint,
-// `lobelia_math::accurate::adjoint`.
+// The specular integral of one light SG over an SG of half vectors, by 3 × 2 nodes: `lobelia_sg::accurate::specular` and its adjoint,
+// `lobelia_sg::accurate::adjoint`.
 //
 // ∫ F·G₁(n·ω)·G₁(n·v)·(n·ω)·(v·h) · (L/2π)e^{L(h·n − 1)} · e^{λ(ω·ξ − 1)} dh (PhySG supp. eqs. 1–7) with ω = 2(v·h)h − v, in
 // Lambert's equal-area chart around the normal, |X|² = 2(1 − h·n).

@@ -1,5 +1,5 @@
 // E(λ, c), the published approximation of the integral of an SG times the clamped cosine, and the hemisphere integral H:
-// `lobelia_math::published::integral`.
+// `lobelia_sg::published::integral`.
 
 // Sharpness and amplitude of the SG that approximates the clamped cosine, and the constant subtracted from it.
 const COSINE_SHARPNESS = 0.0315;

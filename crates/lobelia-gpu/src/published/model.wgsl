@@ -1,4 +1,4 @@
-// The published formulas as the loops see them: `lobelia_math::published::model`.
+// The published formulas as the loops see them: `lobelia_sg::published::model`.
 
 fn specular_weights(frozen: Frozen, albedo: vec3<f32>) -> mat2x3<f32> {
     return mat2x3(vec3(frozen.constant) + frozen.slope * albedo, vec3(0.0));

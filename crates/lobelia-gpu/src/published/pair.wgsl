@@ -1,4 +1,4 @@
-// One point × one lobe by the published formulas, and its adjoint: `lobelia_math::published::pair`.
+// One point × one lobe by the published formulas, and its adjoint: `lobelia_sg::published::pair`.
 //
 // The NDF (PhySG supp. eq. 4) is warped to incident directions (Wang et al. 2009); its product with the lobe is one SG.
 

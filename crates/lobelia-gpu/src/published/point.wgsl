@@ -1,4 +1,4 @@
-// The terms of a surface point and its specular material: `lobelia_math::published::point`.
+// The terms of a surface point and its specular material: `lobelia_sg::published::point`.
 
 // The published code divides by |x| + 1e-6 when it normalizes, so its "unit" vectors have this length, κ; 1 − κ; and κ² − 1.
 const SHRUNK = 0.999999000001;

@@ -1,4 +1,4 @@
-// E(λ, c) for sharpness λ ≥ 11 as a small change from H(λ, c): `lobelia_math::published::sharp`.
+// E(λ, c) for sharpness λ ≥ 11 as a small change from H(λ, c): `lobelia_sg::published::sharp`.
 //
 // H = A + Bτ, A = π/λ, B = A·coth T, τ = tanh(Tc), T = t(λ)/2; the product with the cosine's SG has sharpness m = λ + h.
 // E = (32.7080 − 31.7003)·H + 32.7080·(e^x H(m, c′) − H),  e^x H(m, c′) − H = A·α + B·(βτ′ + τ′ − τ)

@@ -1,4 +1,4 @@
-// Adjoint of points, one thread each, and of what they share: `lobelia_math::shading::adjoint`.
+// Adjoint of points, one thread each, and of what they share: `lobelia_sg::shading::adjoint`.
 //
 // A workgroup sums what its points contribute to the lobes in a fixed order, for `TILE` lobes at a time.
 

@@ -1,4 +1,4 @@
-// Radiance of points, one thread each: `lobelia_math::shading::forward`.
+// Radiance of points, one thread each: `lobelia_sg::shading::forward`.
 
 // Outgoing radiance, as a diffuse and a specular layer.
 struct Layers {

@@ -2,13 +2,13 @@
 
 use super::whole::Whole;
 use crate::{Adjoints, Gpu};
-use lobelia_math::accurate::ACCURATE_DEFAULT;
-use lobelia_math::brdf::{Ndf, SpecularValue};
-use lobelia_math::columns::{LobeColumns, SharedGradient};
-use lobelia_math::lighting::{Lighting, LobeVisibility, PointVisibility};
-use lobelia_math::lobe::Lobe;
-use lobelia_math::sample::{Layers, PointAdjoint, RadianceAdjoint, RadianceColumns, ShadePoint};
-use lobelia_math::shading::{ClosedForm, shade_adjoint_with, shade_with};
+use lobelia_sg::accurate::ACCURATE_DEFAULT;
+use lobelia_sg::brdf::{Ndf, SpecularValue};
+use lobelia_sg::columns::{Layers, PointAdjoint, RadianceAdjoint, RadianceColumns, ShadePoint};
+use lobelia_sg::columns::{Lighting, LobeVisibility, PointVisibility};
+use lobelia_sg::columns::{LobeColumns, SharedGradient};
+use lobelia_sg::sg::Lobe;
+use lobelia_sg::shading::{ClosedForm, shade_adjoint_with, shade_with};
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
 /// A batch and its visibility.
@@ -103,7 +103,7 @@ impl Batch {
     }
 }
 
-/// What forward and adjoint kernels compute.
+/// Results of the forward and adjoint kernels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Results {
     pub shaded: Vec<Layers>,

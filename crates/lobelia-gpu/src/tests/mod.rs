@@ -6,19 +6,23 @@ mod whole;
 use crate::shade::MOST_LOBES;
 use crate::{Adjoints, Gpu, GpuError};
 use batch::{Batch, Results};
-use lobelia_math::accurate::Quality;
-use lobelia_math::brdf::{Ndf, SpecularValue};
-use lobelia_math::columns::SharedGradient;
-use lobelia_math::lighting::{Lighting, LobeVisibility};
-use lobelia_math::sample::Layers;
-use lobelia_math::shading::ClosedForm;
-use lobelia_math::workload::Workload;
+use lobelia_sg::accurate::Quality;
+use lobelia_sg::brdf::{Ndf, SpecularValue};
+use lobelia_sg::columns::Layers;
+use lobelia_sg::columns::SharedGradient;
+use lobelia_sg::columns::{Lighting, LobeVisibility};
+use lobelia_sg::shading::ClosedForm;
+use lobelia_sg::workload::Workload;
 use std::sync::OnceLock;
 
 const FORMS: [ClosedForm; 2] = [ClosedForm::Published, ClosedForm::Accurate(Quality::Default)];
 const ROUGHNESS: [f32; 3] = [0.1, 0.3, 0.7];
-/// Largest difference between GPU and CPU, relative to the largest value of its kind in the batch, or to the largest sum of magnitudes.
-const AGREEMENT: f32 = 1e-4;
+/// Largest difference between GPU and CPU, relative to the largest value of its kind in the batch, or to the largest sum
+/// of magnitudes. An exponent −λ (1 − cos θ) is rounded to λ ε, where λ = 2 / R⁴ is the sharpness of the NDF; how much of
+/// that is seen depends on the instructions of both.
+fn agreement(roughness: f32) -> f32 {
+    1e-4 + 0.1 * f32::EPSILON * 2.0 / roughness.powi(4)
+}
 
 /// The GPU of the tests; `None` where there is no adapter.
 fn gpu() -> Option<&'static Gpu> {
@@ -37,7 +41,6 @@ fn gpu() -> Option<&'static Gpu> {
 #[test]
 fn gpu_agrees_with_cpu() {
     let Some(gpu) = gpu() else { return };
-    let mut largest: Vec<(&str, f32, String)> = Vec::new();
     for form in FORMS {
         for (roughness, lobes) in ROUGHNESS.into_iter().flat_map(|r| [1, 21, 128].map(|n| (r, n))) {
             let batch = Batch::new(300, lobes, roughness);
@@ -45,19 +48,12 @@ fn gpu_agrees_with_cpu() {
                 let cpu = Results::cpu(form, true, &batch, lighting);
                 let sizes = cpu.magnitudes(form, &batch, lighting);
                 let found = Results::gpu(gpu, form, &batch, lighting, &cpu.shaded);
-                let case = format!("{form:?}, R = {roughness}, {lobes} lobes, {kind}");
-                for (i, (what, error)) in cpu.errors(&found, &sizes).into_iter().enumerate() {
-                    match largest.get_mut(i) {
-                        Some(most) if most.1 >= error => {}
-                        Some(most) => *most = (what, error, case.clone()),
-                        None => largest.push((what, error, case.clone())),
-                    }
+                for (kind_of_value, error) in cpu.errors(&found, &sizes) {
+                    let case = format!("{form:?}, R = {roughness}, {lobes} lobes, {kind}");
+                    assert!(error < agreement(roughness), "{kind_of_value}: {error} with {case}");
                 }
             }
         }
-    }
-    for (what, error, case) in &largest {
-        assert!(*error < AGREEMENT, "{what}: {error} with {case}; of all: {largest:#?}");
     }
 }
 
@@ -125,7 +121,7 @@ fn most_lobes_are_all_summed() {
         let cpu = Results::cpu(form, true, &batch, lighting);
         let found = Results::gpu(gpu, form, &batch, lighting, &cpu.shaded);
         let errors = cpu.errors(&found, &cpu.magnitudes(form, &batch, lighting));
-        assert!(errors.iter().all(|(_, error)| *error < AGREEMENT), "{errors:?}");
+        assert!(errors.iter().all(|(_, error)| *error < agreement(0.3)), "{errors:?}");
     }
 }
 
@@ -157,7 +153,10 @@ fn nothing_may_be_empty() {
                 let cpu = Results::cpu(form, false, &batch, lighting);
                 let found = Results::gpu(gpu, form, &batch, lighting, &cpu.shaded);
                 let errors = cpu.errors(&found, &cpu);
-                assert!(errors.iter().all(|(_, error)| *error < AGREEMENT), "{points} {lobes} {errors:?}");
+                assert!(
+                    errors.iter().all(|(_, error)| *error < agreement(0.3)),
+                    "{points} {lobes} {errors:?}"
+                );
             }
         }
     }

@@ -1,10 +1,10 @@
-//! A model of `lobelia-math` whose pairs are all evaluated, as on the GPU.
+//! A model of `lobelia-sg` whose pairs are all evaluated, as on the GPU.
 
-use lobelia_math::brdf::{SpecularAdjoint, SpecularValue};
-use lobelia_math::dual::Dual;
-use lobelia_math::lobe::Shape;
-use lobelia_math::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response};
-use lobelia_math::real::{Real, Vec3Of};
+use lobelia_sg::brdf::{SpecularAdjoint, SpecularValue};
+use lobelia_sg::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response};
+use lobelia_sg::real::{Real, Vec3Of};
+use lobelia_sg::sg::Dual;
+use lobelia_sg::sg::Shape;
 
 /// The formulas of `M`, without what the kernels may skip.
 #[derive(Clone, Copy)]

@@ -1,0 +1,337 @@
+//! `lobelia bench`: how long one point × light lobe takes, forward and with its adjoint, on this machine.
+//!
+//! A [`Workload`] is shaded. A kernel is run again and again for its share of the time; the least
+//! time counts, because other work of the machine can only make a run longer.
+
+use super::terminal::print;
+use clap::Args;
+use lobelia::codec::file::{check_writable, write_bytes};
+use lobelia::sg::accurate::Quality;
+use lobelia::sg::brdf::Ndf;
+use lobelia::sg::lanes::level_name;
+use lobelia::sg::shading::{
+    ChunkSums, ClosedForm, Cpu, Layers, Lighting, PairLoops, PointAdjoint, RadianceAdjoint, RadianceColumns,
+    ShadeCall, ShadePoint,
+};
+use lobelia::sg::workload::Workload;
+use lobelia::shade::device::ShadingDevice;
+use lobelia::{Error, Result};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// The long help.
+pub const BENCH_LONG: &str = "\
+Measures how long shading takes per point and light lobe on this machine, in about a minute.
+
+Needs no data: points look in all directions, lobes lie evenly around them with sharpness 20 to some 300. Two
+kernels are timed: `forward` computes radiance, as rendering does; `forward+adjoint` is what a step of a fit adds,
+radiance again and the gradient with respect to light, material, albedo and normal. A number is the time of a whole
+batch over points × lobes, with all threads together: the least of many repetitions, since other programs can only
+make a repetition longer. Multiply by the pixels of a batch and by the lobes to know what a step costs.
+
+`simd` is the instruction set the kernels chose; `skipped` is the part of the pairs that a mode leaves out.";
+
+/// Its end.
+pub const BENCH_EXAMPLES: &str = "\
+Examples:
+  lobelia bench
+      8, 32, 128 and 512 lobes, three roughnesses, one thread and all threads.
+  lobelia bench --points 4096 --lobes 128 --threads 2 --seconds 5
+      One batch of a fit, quickly.
+  lobelia bench --json before.json
+      Rows to compare with: mode, points, lobes, threads, roughness, forward_ns, forward_adjoint_ns, …";
+
+/// `lobelia bench`.
+#[derive(Args, Debug)]
+pub struct BenchArgs {
+    /// Points in a batch, 1 to 16777216
+    #[arg(long, value_name = "N", default_value_t = 16_384, value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
+    points: u32,
+    /// Numbers of light lobes, 1 to 4096 each
+    #[arg(long, value_name = "M,…", value_delimiter = ',', default_values_t = [8, 32, 128, 512],
+        value_parser = clap::value_parser!(u32).range(1..=4096))]
+    lobes: Vec<u32>,
+    /// How many threads [default: first one, then one per processor]
+    #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Time for all measurements together, in seconds
+    #[arg(long, value_name = "S", default_value_t = 50.0, value_parser = seconds)]
+    seconds: f64,
+    /// Measure a graphics adapter as well, the first or that whose name has this in it; a program built with the feature `gpu` can
+    #[arg(long, value_name = "NAME", num_args = 0..=1, default_missing_value = "gpu")]
+    gpu: Option<String>,
+    /// Write the rows to this file too
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+fn seconds(text: &str) -> std::result::Result<f64, String> {
+    match text.parse() {
+        Ok(seconds) if (0.0..=86_400.0).contains(&seconds) => Ok(seconds),
+        _ => Err("expected a number of seconds from 0 to 86400".to_owned()),
+    }
+}
+
+/// A mode: its name, its closed form, the NDF of its material.
+type Mode = (&'static str, ClosedForm, Ndf);
+
+/// Shading modes that are measured, with the NDF of their material. A further mode is one more line.
+const MODES: [Mode; 4] = [
+    ("published", ClosedForm::Published, Ndf::Sg),
+    ("accurate", ClosedForm::Accurate(Quality::Default), Ndf::Sg),
+    ("accurate-high", ClosedForm::Accurate(Quality::High), Ndf::Sg),
+    ("accurate-ggx", ClosedForm::Accurate(Quality::Default), Ndf::Ggx),
+];
+
+/// Roughness of the specular lobe: glossy, between, rough.
+const ROUGHNESS: [f32; 3] = [0.1, 0.3, 0.7];
+
+/// One line of the table.
+#[derive(Debug, Serialize)]
+struct BenchRow {
+    mode: &'static str,
+    /// In a batch.
+    points: usize,
+    lobes: usize,
+    threads: usize,
+    roughness: f32,
+    /// Radiance: nanoseconds per point × lobe, least of all repetitions.
+    forward_ns: f64,
+    /// The gradient's kernel, which computes the radiance again and the adjoint of everything: likewise.
+    forward_adjoint_ns: f64,
+    /// How often each kernel was run.
+    repetitions: [usize; 2],
+    /// Of its inputs, outputs and adjoints.
+    bytes_per_point: usize,
+    /// Instruction set that the kernels chose, or `gpu`.
+    simd: &'static str,
+}
+
+/// Runs the command.
+pub fn run(args: &BenchArgs) -> Result<()> {
+    let (seconds, header) = (args.seconds, BenchRow::HEADER);
+    let mut head =
+        format!("Nanoseconds per point × lobe, the least of all repetitions in {seconds} s.\n{header}\n");
+    bench(args, |row| print(&format!("{}{}\n", std::mem::take(&mut head), row.line()))).map(drop)
+}
+
+/// Times of a mode's kernels.
+struct Timing {
+    /// Least time of the forward and of the adjoint kernel, for the whole batch.
+    least: [Duration; 2],
+    repetitions: [usize; 2],
+}
+
+/// Measures every combination; `on_row` is told of each row as soon as it is there.
+///
+/// # Errors
+/// [`Error::Usage`] if the JSON file cannot be one (before anything is measured); [`Error::Run`] if threads cannot be
+/// started; [`Error::Io`]; whatever `on_row` returns.
+fn bench(args: &BenchArgs, mut on_row: impl FnMut(&BenchRow) -> Result<()> + Send) -> Result<Vec<BenchRow>> {
+    args.json.as_deref().map_or(Ok(()), check_file)?;
+    let gpu = args.gpu.as_deref().map(ShadingDevice::open).transpose()?;
+    let names = ["published-gpu", "accurate-gpu", "high-gpu", "ggx-gpu"];
+    let has = |(_, (_, form, ndf)): &(&str, Mode)| {
+        gpu.as_ref().is_some_and(|device| device.0.supports(*form, *ndf))
+    };
+    let on_gpu: Vec<(&str, Mode)> = names.into_iter().zip(MODES).filter(has).collect();
+    let threads = match (args.threads, std::thread::available_parallelism().map_or(1, usize::from)) {
+        (Some(threads), _) => vec![usize::from(threads)],
+        (None, 1) => vec![1],
+        (None, all) => vec![1, all],
+    };
+    let count = (MODES.len() * threads.len() + on_gpu.len()) * args.lobes.len() * ROUGHNESS.len();
+    let budget = Duration::from_secs_f64(args.seconds / (2 * count) as f64);
+    let mut rows = Vec::with_capacity(count);
+    for threads in threads {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .map_err(|error| Error::run("starting threads", error.to_string()))?;
+        for mode in MODES {
+            let mut on_row = |timing: Timing, work: &Workload| {
+                rows.push(BenchRow::new(mode.0, threads, work, &timing, level_name()));
+                on_row(&rows[rows.len() - 1])
+            };
+            pool.install(|| measure(&Cpu, mode, args, budget, &mut on_row))?;
+        }
+    }
+    for (device, (name, mode)) in on_gpu.into_iter().filter_map(|mode| Some((gpu.as_ref()?, mode))) {
+        measure(&*device.0, mode, args, budget, &mut |timing, work| {
+            rows.push(BenchRow::new(name, 1, work, &timing, "gpu"));
+            on_row(&rows[rows.len() - 1])
+        })?;
+    }
+    if let Some(path) = &args.json {
+        let mut text = serde_json::to_string_pretty(&rows)
+            .map_err(|error| Error::run("writing the measurements", error.to_string()))?;
+        text.push('\n');
+        write_bytes(path, text.as_bytes())?;
+    }
+    Ok(rows)
+}
+
+/// Measures a mode with all numbers of lobes and roughnesses.
+fn measure(
+    loops: &dyn PairLoops,
+    (_, form, ndf): Mode,
+    args: &BenchArgs,
+    budget: Duration,
+    on_row: &mut (dyn FnMut(Timing, &Workload) -> Result<()> + Send),
+) -> Result<()> {
+    for &lobes in &args.lobes {
+        for roughness in ROUGHNESS {
+            let mut work = Workload::new(args.points as usize, lobes as usize, roughness);
+            work.specular.ndf = ndf;
+            let timing = time_kernels(loops, form, &mut work, budget)?;
+            on_row(timing, &work)?;
+        }
+    }
+    Ok(())
+}
+
+impl BenchRow {
+    /// The head of the table that [`Self::line`] fills.
+    const HEADER: &'static str = "\
+mode          points  lobes  roughness  threads  forward ns  forward+adjoint ns  bytes/point  simd";
+
+    fn new(mode: &'static str, threads: usize, work: &Workload, timing: &Timing, simd: &'static str) -> Self {
+        let (points, lobes) = (work.points.len(), work.lobes.len());
+        let ns = |time: Duration| time.as_secs_f64() * 1e9 / (points * lobes) as f64;
+        Self {
+            mode,
+            points,
+            lobes,
+            threads,
+            roughness: work.specular.roughness,
+            forward_ns: ns(timing.least[0]),
+            forward_adjoint_ns: ns(timing.least[1]),
+            repetitions: timing.repetitions,
+            bytes_per_point: bytes_per_point(),
+            simd,
+        }
+    }
+
+    /// As a line of the table.
+    fn line(&self) -> String {
+        format!(
+            "{:<13} {:>6}  {:>5}  {:>9}  {:>7}  {:>10.3}  {:>18.3}  {:>11}  {}",
+            self.mode,
+            self.points,
+            self.lobes,
+            self.roughness,
+            self.threads,
+            self.forward_ns,
+            self.forward_adjoint_ns,
+            self.bytes_per_point,
+            self.simd
+        )
+    }
+}
+
+fn bytes_per_point() -> usize {
+    size_of::<ShadePoint>() + size_of::<Layers>() + size_of::<RadianceAdjoint>() + size_of::<PointAdjoint>()
+}
+
+/// Refuses a file that could not be written after a minute of measuring.
+fn check_file(path: &Path) -> Result<()> {
+    if path.is_dir() || path.file_name().is_none() {
+        let problem = format!("{} is not a file name to write to", path.display());
+        return Err(Error::usage(problem, "Name a .json file with --json."));
+    }
+    check_writable(path.parent().unwrap_or(Path::new("")))
+}
+
+fn time_kernels(
+    loops: &dyn PairLoops,
+    form: ClosedForm,
+    work: &mut Workload,
+    budget: Duration,
+) -> Result<Timing> {
+    let Workload { points, specular, lobes, .. } = &*work;
+    let (points, lobes, specular) = (points.clone(), lobes.clone(), *specular);
+    let call = ShadeCall { form, points: &points, specular: &specular, lighting: Lighting::from(&lobes) };
+    let mut sums = ChunkSums::default();
+    let forward = least_time(budget, || loops.shade(call, &mut work.shaded))?;
+    let adjoint = least_time(budget, || {
+        let radiance = RadianceColumns { shaded: &work.shaded, adjoint: &work.adjoint };
+        loops.shade_adjoint(call, radiance, &mut work.point_adjoint, &mut sums)?;
+        sums.total_into(&mut work.gradient);
+        Ok(())
+    })?;
+    Ok(Timing { least: [forward.0, adjoint.0], repetitions: [forward.1, adjoint.1] })
+}
+
+/// Runs `kernel` until `budget` is spent, and once more than once at least: the first run finds cold caches.
+fn least_time(
+    budget: Duration,
+    mut kernel: impl FnMut() -> std::result::Result<(), String>,
+) -> Result<(Duration, usize)> {
+    let started = Instant::now();
+    let (mut least, mut repetitions) = (Duration::MAX, 0);
+    while repetitions < 2 || started.elapsed() < budget {
+        let before = Instant::now();
+        kernel().map_err(|problem| Error::run("shading", problem))?;
+        least = least.min(before.elapsed());
+        repetitions += 1;
+    }
+    Ok((least, repetitions))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn quick(json: Option<PathBuf>) -> BenchArgs {
+        BenchArgs { points: 300, lobes: vec![3, 20], threads: Some(2), seconds: 0.0, gpu: None, json }
+    }
+
+    #[test]
+    fn every_combination_is_measured_and_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/bench.json");
+        let mut told = 0;
+        let rows = bench(&quick(Some(path.clone())), |row| {
+            told += 1;
+            assert!(row.line().contains(row.mode), "{}", row.line());
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!((rows.len(), told), (MODES.len() * 2 * ROUGHNESS.len(), rows.len()));
+        let read: Vec<serde_json::Map<String, serde_json::Value>> =
+            serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        assert_eq!(read.len(), rows.len());
+        for row in &read {
+            for key in ["mode", "points", "lobes", "threads", "roughness", "forward_ns", "forward_adjoint_ns"]
+            {
+                assert!(row.contains_key(key), "{key}");
+            }
+            assert!(row["forward_ns"].as_f64().is_some_and(|ns| ns.is_finite() && ns > 0.0));
+        }
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_is_refused_before_measuring() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        std::fs::write(&file, b"x").unwrap();
+        for bad in [folder.path().to_owned(), file.join("below.json")] {
+            let error = bench(&quick(Some(bad)), |_| panic!("measured")).unwrap_err();
+            assert_eq!(error.exit_code(), 2, "{error}");
+        }
+    }
+
+    #[test]
+    fn bench_refuses_senseless_numbers() {
+        use clap::Parser;
+        let refused = |arguments: &[&str]| {
+            crate::Cli::try_parse_from([&["lobelia", "bench"], arguments].concat()).is_err()
+        };
+        assert!(!refused(&["--lobes", "8,32", "--points", "1", "--threads", "2", "--seconds", "0.5"]));
+        for bad in ["--lobes=0", "--lobes=8,x", "--points=0", "--threads=0", "--seconds=-1", "--seconds=nan"]
+        {
+            assert!(refused(&[bad]), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! `lobelia check`: what a scene file would do, and what is wrong with its data; nothing is run.
+
+use super::start::{SceneArgs, ThreadArgs, load_options, start_threads};
+use super::terminal::print;
+use clap::Args;
+use lobelia::codec::file::{FileUse, check_writable};
+use lobelia::pass::memory::{usual_budget, within};
+use lobelia::pass::preflight::{check_outputs, check_sizes};
+use lobelia::pass::progress::{Bar, Progress, Silent};
+use lobelia::pass::{looks, rehearse};
+use lobelia::scene::{LoadOptions, LoadedScene, Pass, Scene, Surface, Views, load, unknown_parts};
+use lobelia::survey::estimate::{Estimate, estimate};
+use lobelia::survey::open::{OpenScene, survey};
+use lobelia::survey::{Severity, Survey, table};
+use lobelia::view::ViewRecord;
+use lobelia::{Error, Result};
+use std::cell::RefCell;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// The survey.
+const JSON: &str = "survey.json";
+
+/// `lobelia check`.
+#[derive(Args, Debug)]
+pub struct CheckArgs {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// Write survey.json into this folder
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    threads: ThreadArgs,
+    /// Memory that a run would have to keep to: 8GiB, 500MiB [default: three quarters of what a process may have]
+    #[arg(long, value_name = "SIZE", value_parser = lobelia::pass::memory::parse_bytes)]
+    memory: Option<u64>,
+}
+
+/// Runs the command.
+pub fn run(args: &CheckArgs) -> Result<()> {
+    let options = LoadOptions { without_data: true, ..load_options(&args.scene) };
+    let loaded = load(&args.scene.scene, &options)?;
+    check_sizes(&loaded.scene)?;
+    let has_photographs = data_is_there(&loaded);
+    if let Some(out) = &args.out {
+        check_out(out, &loaded, has_photographs)?;
+    }
+    start_threads(args.threads)?;
+    let surveyed = if has_photographs { survey(&loaded.scene)? } else { None };
+    let (surveyed, views) = surveyed.map_or((None, Vec::new()), |(survey, views)| (Some(survey), views));
+    let budget = args.memory.or_else(usual_budget);
+    let outcome = Outcome::of(&loaded, surveyed.as_ref(), views, budget);
+    print(&summary(&loaded, surveyed.as_ref(), &outcome))?;
+    if let (Some(out), Some(survey)) = (&args.out, &surveyed) {
+        std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
+        let json = out.join(JSON);
+        survey.write_json(&json, &outcome.needs.clone().unwrap_or_default())?;
+        print(&format!("written: {}\n", json.display()))?;
+    }
+    outcome.error.map_or(Ok(()), Err)
+}
+
+/// Outcome of a run's start, before its first pass.
+struct Outcome {
+    notes: Vec<String>,
+    /// Memory and time of the run; `None` if the views are not known.
+    needs: Option<Estimate>,
+    /// The error that it ends with.
+    error: Option<Error>,
+    /// Whether that is none of the survey's.
+    is_further: bool,
+}
+
+impl Outcome {
+    /// `surveyed` and `views` are of the scene's data set, `budget` is the memory that it may take.
+    fn of(
+        loaded: &LoadedScene,
+        surveyed: Option<&Survey>,
+        views: Vec<ViewRecord>,
+        budget: Option<u64>,
+    ) -> Self {
+        let scene = &loaded.scene;
+        let known = surveyed.is_some() || !matches!(scene.views, Views::Dataset(_));
+        let looks = known.then(|| looks(scene, surveyed)).transpose();
+        let needs = looks.as_ref().ok().and_then(Option::as_ref);
+        let needs = needs.map(|looks| estimate(looks, scene, rayon::current_num_threads()));
+        let ends = |notes, error: Option<Error>| Self { notes, needs, is_further: false, error };
+        if let Some(error) = surveyed.and_then(|survey| survey.findings_of(Severity::Error).next()) {
+            return ends(Vec::new(), Some(error.to_error()));
+        }
+        if !loaded.unseen.is_empty() {
+            return ends(Vec::new(), None);
+        }
+        let notes = Notes::default();
+        let keeps = looks.and_then(|looks| match looks {
+            Some(looks) => within(scene, &looks, budget, &notes).map(drop),
+            None => Ok(()),
+        });
+        let error = keeps.and_then(|()| rehearse(scene, views, &notes)).err();
+        Self { is_further: error.is_some(), ..ends(notes.0.into_inner(), error) }
+    }
+}
+
+/// Keeps what a rehearsal notes, for the summary.
+#[derive(Default)]
+struct Notes(RefCell<Vec<String>>);
+
+impl Progress for Notes {
+    fn note(&self, text: &str) {
+        self.0.borrow_mut().push(text.to_owned());
+    }
+
+    fn print(&self, _: &str) {}
+
+    fn bar(&self, _: &str, _: u64) -> Box<dyn Bar> {
+        Box::new(Silent)
+    }
+}
+
+/// Refuses an `--out` that would be empty, cannot be written, or would replace what the scene reads: before photographs are read.
+fn check_out(out: &Path, loaded: &LoadedScene, has_photographs: bool) -> Result<()> {
+    if !has_photographs {
+        let problem = "--out has nothing to show: no photographs are looked at";
+        return Err(Error::usage(problem, "Say --data DIR, with a scene whose views are a `Dataset`."));
+    }
+    check_writable(out)?;
+    let open = OpenScene::new(&loaded.scene)?;
+    let outputs = [FileUse::new(out.join(JSON), "--out")];
+    check_outputs(loaded, open.as_ref(), &outputs, "Choose another folder with --out.")
+}
+
+/// Whether nothing that a survey reads is below a `$DATA` that stands for nothing.
+fn data_is_there(loaded: &LoadedScene) -> bool {
+    let is_there = |path: &Path| !loaded.unseen.iter().any(|unseen| unseen == path);
+    let mesh = match &loaded.scene.surface {
+        Surface::Mesh { path, .. } => is_there(path),
+        _ => true,
+    };
+    mesh && matches!(&loaded.scene.views, Views::Dataset(dataset) if is_there(&dataset.path))
+}
+
+/// Returns the text that `check` prints.
+fn summary(loaded: &LoadedScene, surveyed: Option<&Survey>, outcome: &Outcome) -> String {
+    let scene = &loaded.scene;
+    let unknown = unknown_parts(scene);
+    let unknown = if unknown.is_empty() { "nothing".to_owned() } else { unknown.join(", ") };
+    let passes: Vec<String> =
+        scene.passes.iter().map(|pass| format!("{} ({})", pass.name(), kind(pass))).collect();
+    let further = usize::from(outcome.is_further);
+    let verdict = match loaded.unseen.is_empty() {
+        true => table::verdict(surveyed, further),
+        false => "the scene file is fine; its data was not looked at: say --data DIR".to_owned(),
+    };
+    let mut text = format!("{}: {verdict}\n", loaded.path.display());
+    let mut line = |label: &str, value: &str| writeln!(text, "  {label:<8} {value}");
+    // Writing to a `String` cannot fail.
+    let _ = line("surface", &surface(scene));
+    let _ = line("views", &views(scene));
+    let _ = line("unknown", &unknown);
+    let _ = line("passes", &format!("{}: {}", passes.len(), passes.join(", ")));
+    let _ = line("files", &files(loaded));
+    for file in loaded.files.iter().chain(&loaded.unseen) {
+        let _ = line("", &file.display().to_string());
+    }
+    for (label, value) in surveyed.map(table::rows).unwrap_or_default() {
+        let _ = line(label, &value);
+    }
+    if let Some(needs) = &outcome.needs {
+        let _ = line("needs", &needs.words());
+    }
+    for note in surveyed.iter().flat_map(|survey| &survey.notes).chain(&outcome.notes) {
+        let _ = line("note", note);
+    }
+    if let Some(survey) = surveyed {
+        text += &table::findings(survey);
+    }
+    text
+}
+
+fn files(loaded: &LoadedScene) -> String {
+    let found = loaded.files.len();
+    match loaded.unseen.len() {
+        0 => format!("{found} named, all found"),
+        unseen => format!("{found} found, {unseen} below $DATA not looked for (say --data DIR to look)"),
+    }
+}
+
+fn surface(scene: &Scene) -> String {
+    match &scene.surface {
+        Surface::Mesh { path, texture_size, .. } => format!("{}, texture {texture_size}²", path.display()),
+        Surface::Unknown { cells, texture_size } => {
+            format!("unknown, on a grid of {cells}³, texture {texture_size}²")
+        }
+        Surface::Sphere { radius, texture_size, .. } => {
+            format!("sphere of radius {radius}, texture {texture_size}²")
+        }
+        Surface::Box { size, texture_size, .. } => format!("box {size}, texture {texture_size}²"),
+    }
+}
+
+fn views(scene: &Scene) -> String {
+    match &scene.views {
+        Views::Dataset(dataset) => format!("photographs in {}", dataset.path.display()),
+        Views::Cameras(cameras) => format!("{} cameras without photographs", cameras.len()),
+        Views::Photographed(made) => {
+            format!("{} to fit and {} to test, photographed here", made.cameras.count, made.cameras.test)
+        }
+    }
+}
+
+fn kind(pass: &Pass) -> &'static str {
+    match pass {
+        Pass::Fit(_) => "Fit",
+        Pass::Shape(_) => "Shape",
+        Pass::Render(_) => "Render",
+        Pass::Edit(_) => "Edit",
+        Pass::Relight(_) => "Relight",
+        Pass::Evaluate(_) => "Evaluate",
+        Pass::Save(_) => "Save",
+        Pass::Export(_) => "Export",
+        Pass::View(_) => "View",
+    }
+}

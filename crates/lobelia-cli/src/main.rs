@@ -1,0 +1,167 @@
+//! The `lobelia` command: its subcommands, each with its arguments.
+//!
+//! | file | holds |
+//! | --- | --- |
+//! | [`run`], [`check`], [`prepare`], [`view`], [`report`], [`env`], [`bench`] | the commands; `new` is in [`prepare`], `eval` in [`report`] |
+//! | [`profile`] | where the time of a run goes |
+//! | [`terminal`] | bars, notes and results, for a person and for programs |
+//! | [`error_message`] | how an error is drawn |
+//! | [`start`] | arguments that commands share, and what they do before they work |
+
+mod bench;
+mod check;
+mod env;
+mod error_message;
+mod prepare;
+mod profile;
+mod report;
+mod run;
+mod start;
+mod terminal;
+mod view;
+
+use clap::error::{ContextKind, ContextValue};
+use clap::{Parser, Subcommand};
+use lobelia::Result;
+use std::io::Write as _;
+use std::process::ExitCode;
+
+const EXAMPLES: &str = "\
+Examples:
+  lobelia run scenes/quickstart.ron
+      A first look: makes its own photographs, fits them, edits, relights and scores. Needs no data.
+  lobelia run scenes/spot.ron --data ~/data/spot --out out/spot
+      Your own photographs: $DATA in the scene file stands for ~/data/spot.
+  lobelia run scenes/spot.ron --data ~/data/spot --set passes.fit.steps=200 --set views.downscale=2
+      A quick try of the same, without touching the file.
+  lobelia prepare ~/photos ~/data/vase
+      Photographs without cameras: COLMAP finds these, rembg makes masks, and a scene file is written.
+  lobelia check scenes/spot.ron --data ~/data/spot
+      Is everything there and sensible? Nothing is run or written. (Without --data, what is below $DATA is not
+      looked for.)
+  lobelia view out/spot --light sky.hdr
+      A page to turn, relight and edit the result in a browser: out/spot/view.html.
+  lobelia report out/spot out/spot-again --out both.html
+      Two runs side by side. The page of one run is written with it: out/spot/report.html.
+  lobelia eval out/spot/novel ~/data/spot/test/image
+      How close are these images to those?
+
+Exit codes: 0 done, 1 ran and failed, 2 bad input, 130, 143 or 129 stopped by Ctrl-C, SIGTERM or
+SIGHUP (what was found is kept).";
+
+/// Recovers surface, material and light of a photographed object as spherical Gaussians; then edits and relights it.
+#[derive(Debug, Parser)]
+#[command(name = "lobelia", version = env!("LOBELIA_VERSION"), after_long_help = EXAMPLES, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// Command of `lobelia`.
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run the passes of a scene file
+    #[command(long_about = run::RUN_LONG, after_long_help = EXAMPLES)]
+    Run(run::RunArgs),
+    /// Read a scene file, look at its photographs and masks, and say what it would do and what is wrong
+    Check(check::CheckArgs),
+    /// From photographs or a video to a data set: cameras by COLMAP, masks, a scene file
+    #[command(long_about = prepare::PREPARE_LONG, after_long_help = prepare::PREPARE_EXAMPLES)]
+    Prepare(prepare::PrepareArgs),
+    /// Write a commented scene file for a data set
+    New(prepare::NewArgs),
+    /// Write a page that shows a saved object in a browser: turned, relit, edited
+    #[command(long_about = view::VIEW_LONG)]
+    View(view::ViewArgs),
+    /// Write a page that shows a run, or sets several side by side: scores, views, curves
+    #[command(long_about = report::REPORT_LONG)]
+    Report(report::ReportArgs),
+    /// Compare two images, or the images of two folders by name: PSNR and SSIM in linear light
+    Eval(report::EvalArgs),
+    /// Measure how long shading takes per point and light lobe on this machine, in about a minute
+    #[command(long_about = bench::BENCH_LONG, after_long_help = bench::BENCH_EXAMPLES)]
+    Bench(bench::BenchArgs),
+    /// Environment light: fit SG lobes to a map, draw lobes as a map, turn a light, say what is in it
+    Env(env::EnvArgs),
+}
+
+/// Arguments in, one report of an error out, and the exit code.
+fn main() -> ExitCode {
+    lobelia::set_version(env!("LOBELIA_VERSION"));
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        // Help and version go to stdout and are no error. A closed pipe is not worth a word.
+        Err(error) => {
+            let _ = match gone_word(&error) {
+                Some((word, instead)) => {
+                    writeln!(std::io::stderr(), "error: lobelia no longer has `{word}`\n\nhelp: {instead}")
+                }
+                None => error.print(),
+            };
+            return if error.use_stderr() { ExitCode::from(2) } else { ExitCode::SUCCESS };
+        }
+    };
+    match dispatch(&cli.command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            let _ = std::io::stderr().write_all(error_message::report(&error).as_bytes());
+            ExitCode::from(error_message::exit_code(&error))
+        }
+    }
+}
+
+const ONE_OBJECT: &str =
+    "Run `lobelia run SCENE --out OUT/NAME --resume` for each object; examples/jobs has scripts that do.";
+
+/// Words that commands once had, and what to do instead.
+const GONE: [(&str, &str); 9] = [
+    ("list", ONE_OBJECT),
+    ("--only", ONE_OBJECT),
+    ("--jobs", "Give the folders of the runs: `lobelia report OUT/* --csv`."),
+    ("--allow-outside", "Leave it out: a scene file reads whatever it names."),
+    ("--frames", "A film is made by one run; give several films a pass each."),
+    ("--processes", "One object is fitted by one process; --threads says with how many threads."),
+    (
+        "--checkpoint",
+        "Leave it out: a run saves its state at the end of each pass and once a minute in a fit.",
+    ),
+    ("--backdrop", "Masks are made by a program: install rembg, or give --mask-command or --masks."),
+    (
+        "shade-cases",
+        "The example does the same: `cargo run --release --example shade_cases -- cases.json shaded.json`.",
+    ),
+];
+
+/// A word that a command once had, and what to do instead.
+fn gone_word(error: &clap::Error) -> Option<(&'static str, &'static str)> {
+    let word = [ContextKind::InvalidArg, ContextKind::InvalidSubcommand]
+        .into_iter()
+        .find_map(|kind| error.get(kind));
+    let Some(ContextValue::String(word)) = word else { return None };
+    GONE.into_iter().find(|(gone, _)| word.split(['=', ' ']).next() == Some(gone))
+}
+
+fn dispatch(command: &Command) -> Result<()> {
+    match command {
+        Command::Run(args) => run::run(args),
+        Command::Check(args) => check::run(args),
+        Command::Prepare(args) => prepare::run(args),
+        Command::New(args) => prepare::new(args),
+        Command::Eval(args) => report::eval(args),
+        Command::View(args) => view::run(args),
+        Command::Report(args) => report::run(args),
+        Command::Bench(args) => bench::run(args),
+        Command::Env(args) => env::run(args),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_commands_are_well_formed() {
+        use clap::CommandFactory;
+        Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,15 @@
+//! Cameras, meshes, texel atlases, rays and signed distances.
+//!
+//! | module | holds |
+//! | --- | --- |
+//! | [`sdf`] | signed distance fields |
+//! | [`mesh`] | surfaces: triangles with a texel atlas, and the rays that meet them |
+//! | [`view`] | cameras, photographs, masks |
+//! | [`error`] | the one error type of all crates |
+
+pub mod error;
+pub mod mesh;
+pub mod sdf;
+pub mod view;
+
+pub use error::{Error, Result};

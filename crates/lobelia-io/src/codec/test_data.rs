@@ -1,0 +1,69 @@
+//! Small files for the tests of this module.
+
+use exr::prelude::{
+    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage,
+};
+use glam::Vec3;
+use std::io::{Cursor, Write};
+use std::path::Path;
+
+/// An EXR file.
+pub(crate) fn exr_of(width: usize, height: usize, channels: Vec<(&str, FlatSamples)>) -> Vec<u8> {
+    let list = channels.into_iter().map(|(name, samples)| AnyChannel::new(name, samples)).collect();
+    let (attributes, channels) = (LayerAttributes::default(), AnyChannels::sort(list));
+    let layer = Layer::new((width, height), attributes, Encoding::FAST_LOSSLESS, channels);
+    let mut bytes = Cursor::new(Vec::new());
+    Image::from_layer(layer).write().to_buffered(&mut bytes).unwrap();
+    bytes.into_inner()
+}
+
+/// An EXR file of `f32` channels.
+pub(crate) fn exr_bytes(width: usize, height: usize, channels: &[(&str, Vec<f32>)]) -> Vec<u8> {
+    exr_of(
+        width,
+        height,
+        channels.iter().map(|(name, values)| (*name, FlatSamples::F32(values.clone()))).collect(),
+    )
+}
+
+/// Writes [`exr_bytes`].
+pub fn write_exr(path: &Path, width: usize, height: usize, channels: &[(&str, Vec<f32>)]) {
+    std::fs::write(path, exr_bytes(width, height, channels)).unwrap();
+}
+
+/// An `.npy` file of version 1.0.
+pub(crate) fn npy(descr: &str, is_fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
+    let order = if is_fortran { "True" } else { "False" };
+    let text = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}\n");
+    [b"\x93NUMPY\x01\0", &(text.len() as u16).to_le_bytes()[..], text.as_bytes(), data].concat()
+}
+
+/// An `.npy` file of a matrix, row by row, in `f64`.
+pub(crate) fn npy_matrix(rows: usize, columns: usize, values: &[f64]) -> Vec<u8> {
+    assert_eq!(values.len(), rows * columns);
+    let data: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    npy("<f8", false, &format!("({rows}, {columns})"), &data)
+}
+
+/// Writes an `.npz` file of arrays with these names.
+pub(crate) fn write_npz(path: &Path, method: zip::CompressionMethod, arrays: &[(impl AsRef<str>, Vec<u8>)]) {
+    let mut archive = zip::ZipWriter::new(std::fs::File::create(path).unwrap());
+    let options = zip::write::SimpleFileOptions::default().compression_method(method);
+    for (name, bytes) in arrays {
+        archive.start_file(format!("{}.npy", name.as_ref()), options).unwrap();
+        archive.write_all(bytes).unwrap();
+    }
+    archive.finish().unwrap();
+}
+
+/// A Radiance HDR file without runs; mantissas are truncated to eight bits.
+pub(crate) fn hdr_bytes(width: usize, height: usize, pixels: &[Vec3]) -> Vec<u8> {
+    let mut bytes = format!("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n").into_bytes();
+    for pixel in pixels {
+        let exponent = pixel.max_element().max(1e-30).log2().floor() + 1.0;
+        let mantissas = (*pixel * (8.0 - exponent).exp2()).to_array().map(|mantissa| mantissa as u8);
+        bytes.extend(mantissas);
+        bytes.push((exponent + 128.0) as u8);
+    }
+    bytes
+}

@@ -1,0 +1,312 @@
+//! Writing a mesh with its material as USD: text (`.usda`) with files beside it, or one package (`.usdz`).
+//!
+//! The material is a `UsdPreviewSurface` in its specular workflow: F0 is given, F90 is one, and the lobe is GGX with α = roughness².
+
+use crate::codec::file::check_finite;
+use glam::{Vec2, Vec3};
+use lobelia_geometry::mesh::triangles::Mesh;
+use lobelia_geometry::{Error, Result};
+use std::io::{Cursor, Write as _};
+use std::path::Path;
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipWriter};
+
+/// Where the parts of a package begin: at multiples of this.
+const ALIGNMENT: u16 = 64;
+
+/// A PNG file beside a USD file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UsdImage {
+    /// Its file name.
+    pub name: String,
+    /// Its bytes.
+    pub png: Vec<u8>,
+}
+
+/// A value of the material: one for all, or a texture.
+#[derive(Clone, Debug, PartialEq)]
+pub enum UsdInput<T> {
+    /// The value.
+    Value(T),
+    /// A texture: sRGB for colors, linear gray for numbers.
+    Texture(UsdImage),
+}
+
+/// A material for [`write_usda`] and [`write_usdz`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct UsdMaterial {
+    /// `diffuseColor`, sRGB.
+    pub diffuse: UsdImage,
+    /// `specularColor`: F0, linear RGB.
+    pub specular: UsdInput<Vec3>,
+    /// `roughness`.
+    pub roughness: UsdInput<f32>,
+}
+
+/// The direction that a file says is up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum UpAxis {
+    /// +Y.
+    Y,
+    /// +Z.
+    Z,
+}
+
+/// An image of the light for a `DomeLight`, and how far it is turned about Y.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UsdLight<'a> {
+    /// File name, beside the USD file.
+    pub file: &'a str,
+    /// Rotation about +Y in degrees from USD's convention: the middle of the image at +Z, the quarter from the left at +X.
+    pub turn_degrees: f32,
+}
+
+/// Writes `path` (`.usda`) and the textures beside it.
+///
+/// # Errors
+/// [`Error::Run`] for a mesh without texture coordinates, or a number that is not finite; [`Error::Io`] if a file cannot be written.
+pub fn write_usda(
+    path: &Path,
+    mesh: &Mesh,
+    material: &UsdMaterial,
+    up: UpAxis,
+    light: Option<UsdLight>,
+) -> Result<()> {
+    let text = stage(path, mesh, material, up, light)?;
+    for image in material.images() {
+        crate::codec::file::write_bytes(&path.with_file_name(&image.name), &image.png)?;
+    }
+    crate::codec::file::write_bytes(path, text.as_bytes())
+}
+
+/// Writes `path` (`.usdz`): the same without a light, with its textures in one file.
+///
+/// # Errors
+/// As [`write_usda`].
+pub fn write_usdz(path: &Path, mesh: &Mesh, material: &UsdMaterial, up: UpAxis) -> Result<()> {
+    let text = stage(path, mesh, material, up, None)?;
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let name = format!("{stem}.usda");
+    let textures = material.images().map(|image| (image.name.as_str(), image.png.as_slice()));
+    // The stage comes first: that is how readers find it.
+    let parts = std::iter::once((name.as_str(), text.as_bytes())).chain(textures);
+    let failed = |error: String| Error::run(format!("writing {}", path.display()), error);
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+    let options = SimpleFileOptions::default()
+        .compression_method(CompressionMethod::Stored)
+        .with_alignment(ALIGNMENT)
+        .last_modified_time(zip::DateTime::default());
+    for (name, bytes) in parts {
+        archive.start_file(name, options).map_err(|error| failed(error.to_string()))?;
+        archive.write_all(bytes).map_err(|error| failed(error.to_string()))?;
+    }
+    let bytes = archive.finish().map_err(|error| failed(error.to_string()))?;
+    crate::codec::file::write_bytes(path, bytes.get_ref())
+}
+
+impl<T> UsdInput<T> {
+    fn image(&self) -> Option<&UsdImage> {
+        match self {
+            Self::Texture(image) => Some(image),
+            Self::Value(_) => None,
+        }
+    }
+}
+
+impl UsdMaterial {
+    fn images(&self) -> impl Iterator<Item = &UsdImage> {
+        std::iter::once(&self.diffuse).chain(self.specular.image()).chain(self.roughness.image())
+    }
+}
+
+/// The text of the whole stage.
+fn stage(
+    path: &Path,
+    mesh: &Mesh,
+    material: &UsdMaterial,
+    up: UpAxis,
+    light: Option<UsdLight>,
+) -> Result<String> {
+    let failed = |problem: &str| Error::run(format!("writing {}", path.display()), problem);
+    let Some(uvs) = &mesh.uvs else { return Err(failed("the mesh has no texture coordinates")) };
+    let Some(bounds) = mesh.bounds() else { return Err(failed("the mesh has no triangles")) };
+    let vectors = mesh.positions.iter().chain(&mesh.normals).flat_map(Vec3::to_array);
+    let mut of_material = Vec::new();
+    if let UsdInput::Value(specular) = material.specular {
+        of_material.extend(specular.to_array());
+    }
+    if let UsdInput::Value(roughness) = material.roughness {
+        of_material.push(roughness);
+    }
+    let values = vectors.chain(uvs.iter().flat_map(Vec2::to_array)).chain(of_material);
+    let what = |_| "a position, normal, texture coordinate or value of the material is not finite".to_owned();
+    check_finite(path, values, what)?;
+    let axis = match up {
+        UpAxis::Y => "Y",
+        UpAxis::Z => "Z",
+    };
+    let version = env!("CARGO_PKG_VERSION");
+    let mut text = format!(
+        "#usda 1.0\n(\n    defaultPrim = \"Object\"\n    doc = \"lobelia {version}\"\n    metersPerUnit = 1\n    \
+         upAxis = \"{axis}\"\n)\n\ndef Xform \"Object\" (\n    kind = \"component\"\n)\n{{\n"
+    );
+    text += &surface(mesh, uvs, bounds);
+    text += &shaders(material);
+    text += "}\n";
+    if let Some(light) = light {
+        text += &dome(light);
+    }
+    Ok(text)
+}
+
+fn surface(mesh: &Mesh, uvs: &[Vec2], (low, high): (Vec3, Vec3)) -> String {
+    let vectors = |values: &[Vec3]| list(values.iter().map(|v| format!("({}, {}, {})", v.x, v.y, v.z)));
+    // In USD, t points up.
+    let places = list(uvs.iter().map(|uv| format!("({}, {})", uv.x, 1.0 - uv.y)));
+    let counts = list(mesh.triangles.iter().map(|_| "3".to_owned()));
+    let indices = list(mesh.triangles.iter().flatten().map(u32::to_string));
+    let (extent, points, normals) = (vectors(&[low, high]), vectors(&mesh.positions), vectors(&mesh.normals));
+    format!(
+        "    def Mesh \"Surface\" (\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n    )\n    {{\n        \
+         float3[] extent = {extent}\n        int[] faceVertexCounts = {counts}\n        \
+         int[] faceVertexIndices = {indices}\n        point3f[] points = {points}\n        \
+         normal3f[] normals = {normals} (\n            interpolation = \"vertex\"\n        )\n        \
+         texCoord2f[] primvars:st = {places} (\n            interpolation = \"vertex\"\n        )\n        \
+         uniform token subdivisionScheme = \"none\"\n        \
+         rel material:binding = </Object/Material>\n    }}\n\n"
+    )
+}
+
+fn list(items: impl Iterator<Item = String>) -> String {
+    format!("[{}]", items.collect::<Vec<_>>().join(", "))
+}
+
+fn shaders(material: &UsdMaterial) -> String {
+    let mut textures = texture("Diffuse", &material.diffuse, "sRGB", "float3 outputs:rgb");
+    let specular = match &material.specular {
+        UsdInput::Value(s) => format!(" = ({}, {}, {})", s.x, s.y, s.z),
+        UsdInput::Texture(image) => {
+            textures += &texture("Specular", image, "sRGB", "float3 outputs:rgb");
+            ".connect = </Object/Material/Specular.outputs:rgb>".to_owned()
+        }
+    };
+    let roughness = match &material.roughness {
+        UsdInput::Value(roughness) => format!(" = {roughness}"),
+        UsdInput::Texture(image) => {
+            textures += &texture("Roughness", image, "raw", "float outputs:r");
+            ".connect = </Object/Material/Roughness.outputs:r>".to_owned()
+        }
+    };
+    format!(
+        "    def Material \"Material\"\n    {{\n        \
+         token outputs:surface.connect = </Object/Material/Preview.outputs:surface>\n\n        \
+         def Shader \"Preview\"\n        {{\n            uniform token info:id = \"UsdPreviewSurface\"\n            \
+         color3f inputs:diffuseColor.connect = </Object/Material/Diffuse.outputs:rgb>\n            \
+         int inputs:useSpecularWorkflow = 1\n            color3f inputs:specularColor{specular}\n            \
+         float inputs:roughness{roughness}\n            token outputs:surface\n        }}\n\n        \
+         def Shader \"Coordinates\"\n        {{\n            uniform token info:id = \"UsdPrimvarReader_float2\"\n            \
+         string inputs:varname = \"st\"\n            float2 outputs:result\n        }}\n{textures}    }}\n"
+    )
+}
+
+fn texture(name: &str, image: &UsdImage, space: &str, output: &str) -> String {
+    format!(
+        "\n        def Shader \"{name}\"\n        {{\n            uniform token info:id = \"UsdUVTexture\"\n            \
+         asset inputs:file = @{}@\n            token inputs:sourceColorSpace = \"{space}\"\n            \
+         float2 inputs:st.connect = </Object/Material/Coordinates.outputs:result>\n            \
+         token inputs:wrapS = \"clamp\"\n            token inputs:wrapT = \"clamp\"\n            {output}\n        }}\n",
+        image.name
+    )
+}
+
+fn dome(light: UsdLight) -> String {
+    format!(
+        "\ndef DomeLight \"Light\"\n{{\n    asset inputs:texture:file = @{}@\n    \
+         token inputs:texture:format = \"latlong\"\n    float xformOp:rotateY = {}\n    \
+         uniform token[] xformOpOrder = [\"xformOp:rotateY\"]\n}}\n",
+        light.file, light.turn_degrees
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lobelia_geometry::mesh::primitive::box_mesh;
+    use std::io::Read as _;
+
+    fn image(name: &str) -> UsdImage {
+        UsdImage { name: name.to_owned(), png: format!("bytes of {name}").into_bytes() }
+    }
+
+    fn textured() -> UsdMaterial {
+        UsdMaterial {
+            diffuse: image("mesh_base_color.png"),
+            specular: UsdInput::Texture(image("mesh_f0.png")),
+            roughness: UsdInput::Texture(image("mesh_roughness.png")),
+        }
+    }
+
+    /// A box with sides of 1, 2 and 3.
+    fn block() -> Mesh {
+        box_mesh(Vec3::ZERO, Vec3::new(1.0, 2.0, 3.0)).unwrap()
+    }
+
+    /// The stage of the block with this material, written into `folder`.
+    fn written(folder: &Path, material: &UsdMaterial, up: UpAxis, light: Option<UsdLight>) -> String {
+        let path = folder.join("mesh.usda");
+        write_usda(&path, &block(), material, up, light).unwrap();
+        std::fs::read_to_string(path).unwrap()
+    }
+
+    #[test]
+    fn a_stage_names_what_it_has() {
+        let folder = tempfile::tempdir().unwrap();
+        let plain = UsdMaterial {
+            specular: UsdInput::Value(Vec3::new(0.1, 0.2, 0.3)),
+            roughness: UsdInput::Value(0.25),
+            ..textured()
+        };
+        let light = UsdLight { file: "light.hdr", turn_degrees: 90.0 };
+        let text = written(folder.path(), &plain, UpAxis::Z, Some(light));
+        for line in [
+            "#usda 1.0",
+            "upAxis = \"Z\"",
+            "float3[] extent = [(-0.5, -1, -1.5), (0.5, 1, 1.5)]",
+            "color3f inputs:specularColor = (0.1, 0.2, 0.3)",
+            "float inputs:roughness = 0.25",
+            "asset inputs:file = @mesh_base_color.png@",
+            "asset inputs:texture:file = @light.hdr@",
+            "float xformOp:rotateY = 90",
+        ] {
+            assert!(text.lines().any(|found| found.trim() == line), "{line} in {text}");
+        }
+        let opened = text.matches(['{', '(', '[']).count();
+        assert_eq!(opened, text.matches(['}', ')', ']']).count());
+        let points = text.lines().find(|line| line.contains("point3f[]")).unwrap();
+        assert_eq!(points.matches('(').count(), block().positions.len());
+        let bare = Mesh { uvs: None, ..block() };
+        assert!(write_usda(&folder.path().join("bare.usda"), &bare, &textured(), UpAxis::Y, None).is_err());
+    }
+
+    #[test]
+    fn the_parts_of_a_package_are_stored_and_aligned() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mesh.usdz");
+        let mesh = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
+        write_usdz(&path, &mesh, &textured(), UpAxis::Y).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).unwrap();
+        let mut names = Vec::new();
+        for i in 0..archive.len() {
+            let mut part = archive.by_index(i).unwrap();
+            assert_eq!(part.compression(), CompressionMethod::Stored);
+            assert_eq!(part.data_start().unwrap() % 64, 0, "{:?}", part.name());
+            let mut content = Vec::new();
+            part.read_to_end(&mut content).unwrap();
+            names.push((part.name().unwrap().to_string(), content.len()));
+        }
+        assert_eq!(names[0].0, "mesh.usda");
+        assert_eq!(names[1], ("mesh_base_color.png".to_owned(), 28));
+        assert_eq!(names.len(), 4);
+    }
+}

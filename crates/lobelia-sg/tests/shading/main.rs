@@ -1,0 +1,9 @@
+//! The slice kernels of every closed form. Apart from the unit tests, so that the kernels are compiled once.
+
+use lobelia_sg::*;
+
+#[path = "../../src/cases.rs"]
+mod cases;
+mod properties;
+mod published_pairs;
+mod slices;

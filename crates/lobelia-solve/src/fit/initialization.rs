@@ -1,0 +1,712 @@
+//! The initialization of a fit: solves alternately for amplitudes and albedo, starting from gray albedo and uniform light.
+//!
+//! For fixed axes and sharpness, radiance is linear in the amplitudes of the lobes, and for fixed light it is linear in the albedo. Once the
+//! amplitudes of uniformly distributed lobes are known, lobes with very little power are moved to resolve the bright parts: like split and merge in
+//! [`fit_map`](lobelia_world::light::map_fit), with photographs in place of the map.
+
+use crate::fit::components::Unknowns;
+use crate::fit::groups::exchange_light;
+use crate::fit::loss::radiance;
+use crate::shade::systems::{kernel_specular, turned};
+use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
+use bevy_ecs::prelude::{Entity, Query, With, Without, World};
+use bevy_ecs::system::SystemState;
+use fearless_simd::{Level, dispatch};
+use glam::{DVec3, Mat3, Vec3};
+use lobelia_geometry::error::stop::check_interrupted;
+use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
+use lobelia_sg::brdf::Ndf;
+use lobelia_sg::color::luminance;
+use lobelia_sg::linear::descend_nonnegative;
+use lobelia_sg::published::Lobe;
+use lobelia_sg::sg::sphere_integral;
+use lobelia_sg::shading::{
+    ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, PointVisibility, RESPONSE_ROWS, ShadePoint,
+    SpecularValue,
+};
+use lobelia_world::light::LightLobe;
+use lobelia_world::light::groups::light_groups;
+use lobelia_world::light::lights::LobeOf;
+use lobelia_world::light::placement::{LightGroup, PlacedFrame};
+use lobelia_world::material::sheen::write_albedo;
+use lobelia_world::material::{
+    MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, USUAL_ALBEDO, recovered_albedo, recovered_materials,
+};
+use lobelia_world::sample::light_rotations;
+use lobelia_world::sample::point::SurfacePoint;
+use lobelia_world::sample::{Observation, Observations};
+use rayon::prelude::*;
+use std::borrow::Cow;
+use std::f32::consts::FRAC_1_PI;
+use std::ops::Range;
+use tracing::info_span;
+
+/// Most pixels in a solve for the amplitudes.
+const AMPLITUDE_PIXELS: usize = 6144;
+/// Most pixels in such a solve on a part of the surface.
+const PART_AMPLITUDE_PIXELS: usize = 2048;
+/// Most pixels in a solve for the albedo…
+const ALBEDO_PIXELS: usize = 400_000;
+/// …or this many per texel, if that is more.
+const PIXELS_PER_TEXEL: usize = 4;
+/// Most pixels over which the error of an initialization is the mean.
+const ERROR_PIXELS: usize = 100_000;
+/// Pixels on the part of the surface that starts are tried on, about.
+const PART_PIXELS: usize = 60_000;
+/// Cells along the longest side of the object, of which that part has some.
+const PART_CELLS: f32 = 16.0;
+/// Rounds, each of light and then albedo.
+const ROUNDS: usize = 4;
+/// Rounds, after the first, that begin by moving faint lobes to bright regions.
+const MOVES: usize = 1;
+
+/// Points whose visibility is in memory at a time.
+const LIT_AT_ONCE: usize = 1 << 16;
+
+/// Solves alternately for amplitudes and albedo, where they are unknown, starting from gray, with the closed form `form`; if `shadowed`,
+/// with occlusion and interreflection from [`ObjectVisibility`]. The light stands still in the world's [`PlacedFrame`].
+pub(crate) fn initialize_light_and_albedo(
+    world: &mut World,
+    unknowns: Unknowns,
+    form: ClosedForm,
+    shadowed: bool,
+) -> Result<()> {
+    if !unknowns.light && !unknowns.albedo {
+        return Ok(());
+    }
+    let groups: Vec<LightGroup> = (0..light_groups(world) as u32).map(LightGroup).collect();
+    // Also those without radiance.
+    let lobes_of_light = |group: &LightGroup| {
+        exchange_light(world, *group);
+        let lobes = lobes_of(world).1;
+        exchange_light(world, *group);
+        lobes
+    };
+    let mut lights: Vec<Vec<LightLobe>> = groups.iter().map(lobes_of_light).collect();
+    let specular = least_rough(world);
+    let mut texels = recovered_albedo(world)?;
+    let object = traced(world, shadowed);
+    let known = Known { form, specular, unknowns, object, in_part: false, placement: None };
+    with_groups(world, known, |problems| alternate(problems, &mut lights, &mut texels))?;
+    for (group, lobes) in groups.into_iter().zip(&lights) {
+        exchange_light(world, group);
+        for (entity, lobe) in lobes_of(world).0.into_iter().zip(lobes) {
+            world.entity_mut(entity).insert(*lobe);
+        }
+        exchange_light(world, group);
+    }
+    write_albedo(world, texels)
+}
+
+/// The occlusion of the object, without the light of the last update, if it is `shadowed`.
+pub(crate) fn traced(world: &World, shadowed: bool) -> Option<ObjectVisibility> {
+    world.get_resource::<ObjectVisibility>().filter(|_| shadowed).map(ObjectVisibility::unlit)
+}
+
+/// The lobes of the scene's own light.
+pub(crate) fn lobes_of(world: &mut World) -> (Vec<Entity>, Vec<LightLobe>) {
+    let mut query = world.query_filtered::<(Entity, &LightLobe), Without<LobeOf>>();
+    query.iter(world).map(|(entity, lobe)| (entity, *lobe)).unzip()
+}
+
+/// The inputs of the initialization besides samples.
+pub(crate) struct Known {
+    pub form: ClosedForm,
+    pub specular: SpecularLobe,
+    pub unknowns: Unknowns,
+    /// The occlusion of the object.
+    pub object: Option<ObjectVisibility>,
+    /// Whether [`part_of_surface`] is enough.
+    pub in_part: bool,
+    /// The only placement that is looked at.
+    pub placement: Option<Placement>,
+}
+
+/// Calls `run` with the data of the initialization, of the photographs under the scene's own light.
+pub(crate) fn with_initialization<T>(
+    world: &mut World,
+    known: Known,
+    run: impl FnOnce(&mut Initialization) -> Result<T>,
+) -> Result<T> {
+    with_groups(world, known, |problems| run(&mut problems[0]))
+}
+
+type Views<'w, 's> =
+    Query<'w, 's, (&'static ViewIndex, &'static Camera, Option<&'static Placement>), With<Photograph>>;
+type Inputs<'w, 's> = (Observations<'w, 's>, Views<'w, 's>);
+
+/// Calls `run` with the data of the initialization of each group of photographs, in order.
+fn with_groups<T>(
+    world: &mut World,
+    known: Known,
+    run: impl FnOnce(&mut [Initialization]) -> Result<T>,
+) -> Result<T> {
+    let Known { form, specular, unknowns, object, in_part, placement } = known;
+    let lights = light_groups(world);
+    let frame = PlacedFrame::own(world);
+    let mut state = SystemState::<Inputs>::new(world);
+    let (observations, views) = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?;
+    let views: Vec<(ViewIndex, Camera, Placement)> =
+        views.iter().map(|(index, camera, of)| (*index, *camera, of.copied().unwrap_or_default())).collect();
+    let cameras: ByView<Camera> = views.iter().map(|(index, camera, _)| (*index, *camera)).collect();
+    let placements: ByView<Placement> = views.iter().map(|(index, _, of)| (*index, *of)).collect();
+    let turns = light_rotations(&frame, views.into_iter());
+    let observations = observations.columns()?;
+    let of = |row: &Observation| placements.get(row.pixel.view).copied();
+    let chosen: Option<Vec<Observation>> =
+        placement.map(|only| observations.iter().filter(|row| of(row) == Some(only)).copied().collect());
+    let all = chosen.as_deref().unwrap_or(&observations);
+    // Rows are in the order of their groups.
+    let of_group = |number: usize| {
+        let light = |row: &Observation| frame.placements.light(of(row).unwrap_or_default()).0 as usize;
+        let rest = &all[all.partition_point(|row| light(row) < number)..];
+        &rest[..rest.partition_point(|row| light(row) == number)]
+    };
+    let part = |all| in_part.then(|| part_of_surface(all)).flatten().map_or(Cow::Borrowed(all), Cow::Owned);
+    let parts: Vec<Cow<[Observation]>> = (0..lights).map(of_group).map(part).collect();
+    let problem = |observations| Initialization {
+        form,
+        observations,
+        amplitude_pixels: if in_part { PART_AMPLITUDE_PIXELS } else { AMPLITUDE_PIXELS },
+        cameras: &cameras,
+        placements: &placements,
+        turns: &turns,
+        specular,
+        unknowns,
+        object: object.as_ref().map(ObjectVisibility::unlit),
+    };
+    run(&mut parts.iter().map(|part| problem(part.as_ref())).collect::<Vec<_>>())
+}
+
+/// Solves alternately for the lights of the groups and the albedo that is common to them.
+fn alternate(
+    problems: &mut [Initialization],
+    lights: &mut [Vec<LightLobe>],
+    texels: &mut Vec<Vec3>,
+) -> Result<()> {
+    let unknowns = problems[0].unknowns;
+    for round in 0..ROUNDS {
+        for (problem, lobes) in problems.iter_mut().zip(&mut *lights).filter(|_| unknowns.light) {
+            check_interrupted()?;
+            if (1..=MOVES).contains(&round) {
+                move_lobes_to_the_light(lobes);
+            }
+            problem.solve_light(lobes, texels, round > 0)?;
+        }
+        check_interrupted()?;
+        if unknowns.albedo {
+            let _solving = info_span!("albedo").entered();
+            let most = ALBEDO_PIXELS.max(PIXELS_PER_TEXEL * texels.len());
+            let mut shaded = Vec::new();
+            for (problem, lobes) in problems.iter_mut().zip(&*lights) {
+                let n = problem.observations.len().min(most);
+                shaded.push((&problem.observations[..n], problem.of_white(lobes, texels, n)?));
+            }
+            let pixels = shaded.iter().flat_map(|(observations, white)| observations.iter().zip(white));
+            *texels = solve_albedo(pixels, texels, Vec3::splat(USUAL_ALBEDO));
+        }
+    }
+    Ok(())
+}
+
+/// The pixels on a part of the surface, about [`PART_PIXELS`]: all that see it, so that its texels are known as well as if all of the surface
+/// were looked at. `None` if there are not twice as many in all.
+fn part_of_surface(all: &[Observation]) -> Option<Vec<Observation>> {
+    let every = (all.len() / PART_PIXELS) as u32;
+    if every < 2 {
+        return None;
+    }
+    let at = all.par_iter().map(|observation| [observation.point.position; 2]);
+    let [low, high] = at.reduce_with(|a, b| [a[0].min(b[0]), a[1].max(b[1])])?;
+    let side = (high - low).max_element().max(1e-6) / PART_CELLS;
+    let is_in = |observation: &&Observation| {
+        let cell = ((observation.point.position - low) / side).as_uvec3();
+        let mixed = cell.x.wrapping_mul(0x9e37_79b1)
+            ^ cell.y.wrapping_mul(0x85eb_ca77)
+            ^ cell.z.wrapping_mul(0xc2b2_ae3d);
+        ((mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d) >> 12).is_multiple_of(every)
+    };
+    let part: Vec<Observation> = all.par_iter().filter(is_in).copied().collect();
+    (part.len() >= PART_PIXELS / 4).then_some(part)
+}
+
+/// The base material of least roughness that a texel has: it shows best where the light is. (With the mean of two, the fitted roughness is farther from the truth.) As a
+/// spherical Gaussian, which does as well here as GGX in a third of the time.
+pub(super) fn least_rough(world: &mut World) -> SpecularLobe {
+    let mut shown = [false; MAX_SPECULAR_LOBES];
+    for blend in world.query::<&SpecularBlend>().iter(world) {
+        shown.iter_mut().zip(&blend.0).for_each(|(shown, weight)| *shown |= *weight > 0.0);
+    }
+    let lobes = recovered_materials(world).into_iter().filter(|(number, _)| shown[*number]);
+    let first = lobes.map(|(_, lobe)| lobe).min_by(|a, b| a.roughness.total_cmp(&b.roughness));
+    SpecularLobe { ndf: Ndf::Sg, ..first.unwrap_or(SpecularLobe::new(Vec3::ZERO, 1.0)) }
+}
+
+/// The data of the initialization.
+pub(crate) struct Initialization<'a> {
+    pub form: ClosedForm,
+    pub observations: &'a [Observation],
+    /// Most pixels in a solve for the amplitudes.
+    amplitude_pixels: usize,
+    pub cameras: &'a ByView<Camera>,
+    pub placements: &'a ByView<Placement>,
+    turns: &'a ByView<Mat3>,
+    pub specular: SpecularLobe,
+    pub unknowns: Unknowns,
+    object: Option<ObjectVisibility>,
+}
+
+impl Initialization<'_> {
+    /// Solves alternately for the light of these photographs and the albedo.
+    pub fn alternate(&mut self, lobes: &mut Vec<LightLobe>, texels: &mut Vec<Vec3>) -> Result<()> {
+        alternate(std::slice::from_mut(self), std::slice::from_mut(lobes), texels)
+    }
+
+    /// Solves for the amplitudes; `is_lit` if the lobes have some that explain the photographs already.
+    fn solve_light(&mut self, lobes: &mut [LightLobe], texels: &[Vec3], is_lit: bool) -> Result<()> {
+        let _solving = info_span!("light").entered();
+        let n = self.observations.len().min(self.amplitude_pixels);
+        let columns = LobeColumns::from_lobes(lobes.iter().map(Into::into));
+        self.refresh(&columns, texels);
+        let lit = self.lit(0..n, &columns, |point| point.texels.blend(texels))?;
+        let observed = || self.observations[..n].iter().map(|observation| &observation.observed);
+        // In clipped channels it should be more than that of the photographs, if the light until now says so.
+        let targets: Vec<Vec3> = if is_lit && observed().any(|observed| observed.saturated) {
+            let shaded = lit.shade(self.form, &self.specular);
+            observed().zip(&shaded).map(|(observed, layers)| observed.target(radiance(layers))).collect()
+        } else {
+            observed().map(|observed| observed.radiance).collect()
+        };
+        let specular = kernel_specular(&self.specular);
+        let amplitudes = solve_amplitudes(self.form, &lit.points, &targets, &specular, lit.lighting());
+        for (lobe, amplitude) in lobes.iter_mut().zip(amplitudes) {
+            lobe.amplitude = amplitude.max(Vec3::splat(1e-3));
+        }
+        Ok(())
+    }
+
+    /// The radiance of the first `n` pixels if the surface were white.
+    fn of_white(&mut self, lobes: &[LightLobe], texels: &[Vec3], n: usize) -> Result<Vec<Layers>> {
+        let columns = LobeColumns::from_lobes(lobes.iter().map(Into::into));
+        self.refresh(&columns, texels);
+        let mut unit = Vec::with_capacity(n);
+        for start in (0..n).step_by(LIT_AT_ONCE) {
+            let white = self.lit(start..n.min(start + LIT_AT_ONCE), &columns, |_| Vec3::ONE)?;
+            unit.append(&mut white.shade(self.form, &self.specular));
+        }
+        Ok(unit)
+    }
+
+    /// Finds the shadows and the reflected light of these lobes on a surface of this albedo.
+    pub fn refresh(&mut self, lobes: &LobeColumns, texels: &[Vec3]) {
+        let _refreshing = info_span!("shadows").entered();
+        let Some(object) = &mut self.object else { return };
+        let SpecularLobe { albedo: specular, roughness, .. } = self.specular;
+        let of = |texel: u32| Reflectance { diffuse: texels[texel as usize], specular, roughness };
+        object.refresh(lobes, self.turns.all(), &of);
+    }
+
+    /// The inputs of shading at a range of observed pixels, with this albedo.
+    pub fn lit<'l>(
+        &self,
+        run: Range<usize>,
+        lobes: &'l LobeColumns,
+        albedo: impl Fn(&SurfacePoint) -> Vec3 + Sync,
+    ) -> Result<Lit<'l>> {
+        let observations = &self.observations[run];
+        let viewer = |Observation { pixel, .. }: &Observation| {
+            Ok(-self.cameras.of(pixel.view)?.pixel_ray(pixel.pixel).direction)
+        };
+        let viewers: Vec<Vec3> = observations.par_iter().map(viewer).collect::<Result<_>>()?;
+        let point = |(Observation { pixel, point, .. }, viewer): (&Observation, &Vec3)| {
+            let point = ShadePoint {
+                normal: point.normal.into(),
+                to_viewer: (*viewer).into(),
+                albedo: albedo(point).into(),
+            };
+            self.turns.get(pixel.view).map_or(point, |turn| turned(&point, *turn))
+        };
+        let points = observations.par_iter().zip(&viewers).map(point).collect();
+        let (mut rows, mut seen) = (WindowVisibility::default(), Vec::new());
+        if let Some(object) = &self.object {
+            seen.resize(observations.len(), PointVisibility::OPEN);
+            let surface: Vec<SurfacePoint> = observations.par_iter().map(|o| o.point).collect();
+            let viewer = |i: usize| (viewers[i], observations[i].pixel);
+            object.window(&surface, viewer, |_| self.specular.roughness, None, &mut rows, &mut seen);
+        }
+        Ok(Lit { lobes, points, rows, seen })
+    }
+
+    /// Mean absolute difference between the first observed pixels and what this light and albedo show, over pixels and channels.
+    pub fn error(&self, lobes: &[LightLobe], texels: &[Vec3]) -> Result<f32> {
+        let n = self.observations.len().min(ERROR_PIXELS);
+        let columns = LobeColumns::from_lobes(lobes.iter().map(Into::into));
+        let lit = self.lit(0..n, &columns, |point| point.texels.blend(texels))?;
+        let of = |(shaded, Observation { observed, .. }): (&Layers, &Observation)| {
+            let [r, g, b] = observed.differences(radiance(shaded)).abs().to_array();
+            f64::from(r + g + b)
+        };
+        let shaded = lit.shade(self.form, &self.specular);
+        let sum: f64 = shaded.iter().zip(self.observations).map(of).sum();
+        Ok((sum / (3 * n.max(1)) as f64) as f32)
+    }
+}
+
+/// Points, and what they see of the light.
+pub(crate) struct Lit<'a> {
+    lobes: &'a LobeColumns,
+    pub points: Vec<ShadePoint>,
+    rows: WindowVisibility,
+    /// Empty without visibility.
+    seen: Vec<PointVisibility>,
+}
+
+impl Lit<'_> {
+    pub fn lighting(&self) -> Lighting<'_> {
+        Lighting { lobes: self.lobes, visibility: self.rows.view(&self.seen) }
+    }
+
+    /// Radiance of the points if this is their specular lobe.
+    pub fn shade(&self, form: ClosedForm, specular: &SpecularLobe) -> Vec<Layers> {
+        let mut shaded = vec![Layers::default(); self.points.len()];
+        form.shade(&self.points, &kernel_specular(specular), self.lighting(), &mut shaded);
+        shaded
+    }
+}
+
+/// Points that a thread processes at a time; the chunk size of the fixed-order sums.
+const CHUNK: usize = 256;
+/// Lobes whose products are summed at once, in registers.
+const TILE: usize = 16;
+/// Responses below this count as none, because products of two such are subnormal numbers, with which processors are many times slower.
+const TINY: f32 = 1e-18;
+/// Weight of the prior toward equal amplitudes, relative to the mean diagonal of the normal equations: it determines lobes that no pixel
+/// distinguishes.
+const RIDGE: f64 = 1e-2;
+/// Most sweeps of the descent to the amplitudes.
+const SWEEPS: usize = 300;
+
+/// Responses of a chunk of points to unit lobes in one channel: [`TILE`] lobes of every point after each other, then the next lobes.
+type Responses = Vec<[f32; TILE]>;
+
+/// A chunk of points: its responses and targets of each channel.
+struct Rows {
+    responses: [Responses; 3],
+    targets: [Vec<f32>; 3],
+}
+
+/// Non-negative amplitudes of the lobes (whose own are ignored) that fit the radiance `targets` at `points` best in the least-squares sense,
+/// given the albedo in `points`, the specular material and the visibility.
+fn solve_amplitudes(
+    form: ClosedForm,
+    points: &[ShadePoint],
+    targets: &[Vec3],
+    specular: &SpecularValue,
+    Lighting { lobes, visibility }: Lighting<'_>,
+) -> Vec<Vec3> {
+    let of_unit = |i: usize| Lobe { amplitude: [1.0; 3], ..lobes.get(i) };
+    let lobes = LobeColumns::from_lobes((0..lobes.len()).map(of_unit));
+    let stride = lobes.stride();
+    let chunk = |number: usize| {
+        let run = number * CHUNK..points.len().min((number + 1) * CHUNK);
+        let count = run.len();
+        let mut values = vec![0.0; count * RESPONSE_ROWS * stride];
+        form.respond(&points[run.clone()], specular, &lobes, &mut values);
+        let mut rows = Rows {
+            responses: std::array::from_fn(|_| vec![[0.0; TILE]; lobes.len().div_ceil(TILE) * count]),
+            targets: std::array::from_fn(|_| Vec::with_capacity(count)),
+        };
+        for (k, (n, value)) in run.zip(values.chunks_exact(RESPONSE_ROWS * stride)).enumerate() {
+            let (parts, around) = LobeVisibility::point(visibility, n, stride);
+            let (irradiance, glossy) = value.split_at(stride);
+            for (c, glossy) in glossy.chunks_exact(stride).enumerate() {
+                let diffuse = points[n].albedo[c] * FRAC_1_PI;
+                // The visibility of a lobe approximates the visibility of its specular light, and does not need the amplitudes.
+                let part = |i: usize| parts.map_or(1.0, |parts| f32::from(parts[i]) / 255.0);
+                for i in 0..lobes.len() {
+                    let response = (diffuse * irradiance[i] + glossy[i]) * part(i);
+                    rows.responses[c][i / TILE * count + k][i % TILE] =
+                        if response < TINY { 0.0 } else { response };
+                }
+                rows.targets[c].push((targets[n][c] - diffuse * around.indirect[c]).max(0.0));
+            }
+        }
+        rows
+    };
+    let rows: Vec<Rows> = (0..points.len().div_ceil(CHUNK)).into_par_iter().map(chunk).collect();
+    let channels = [0, 1, 2].map(|channel| normal_equations(&rows, channel, lobes.len()));
+    let solved = channels.into_par_iter().map(|(matrix, right)| solve(matrix, &right, RIDGE));
+    let solved: Vec<Vec<f64>> = solved.collect();
+    (0..lobes.len()).map(|i| Vec3::from_array(std::array::from_fn(|c| solved[c][i] as f32))).collect()
+}
+
+/// The normal equations of one channel: the symmetric matrix row by row, and the right side. Products of lobes are summed in f32 over a chunk, all else in f64.
+fn normal_equations(rows: &[Rows], channel: usize, n: usize) -> (Vec<f64>, Vec<f64>) {
+    let mut matrix = vec![0.0; n * n];
+    let mut right = vec![0.0; n];
+    let lines = matrix.par_chunks_mut(TILE * n).zip(right.par_chunks_mut(TILE)).enumerate();
+    lines.for_each(|(tile, (lines, right))| {
+        for Rows { responses, targets } in rows {
+            let (responses, targets) = (&responses[channel], &targets[channel]);
+            let own = &responses[tile * targets.len()..][..targets.len()];
+            for (other, responses) in responses.chunks_exact(targets.len()).take(tile + 1).enumerate() {
+                let products = dispatch!(Level::new(), _simd => tile_products(own, responses));
+                for (line, products) in lines.chunks_exact_mut(n).zip(&products) {
+                    let sums = line[other * TILE..].iter_mut().zip(products);
+                    sums.for_each(|(sum, product)| *sum += f64::from(*product));
+                }
+            }
+            for (response, target) in own.iter().zip(targets) {
+                right.iter_mut().zip(response).for_each(|(sum, a)| *sum += f64::from(a * target));
+            }
+        }
+    });
+    for i in 0..n {
+        for j in 0..i {
+            matrix[j * n + i] = matrix[i * n + j];
+        }
+    }
+    (matrix, right)
+}
+
+/// Sums over points of the products of all lobes of a tile with all of another.
+#[inline(always)]
+fn tile_products(a: &[[f32; TILE]], b: &[[f32; TILE]]) -> [[f32; TILE]; TILE] {
+    let mut products = [[0.0; TILE]; TILE];
+    // So few lines at a time stay in registers.
+    for start in (0..TILE).step_by(4) {
+        let mut sums = [[0.0; TILE]; 4];
+        for (a, b) in a.iter().zip(b) {
+            for line in 0..4 {
+                for k in 0..TILE {
+                    sums[line][k] += a[start + line] * b[k];
+                }
+            }
+        }
+        products[start..start + 4].copy_from_slice(&sums);
+    }
+    products
+}
+
+/// Non-negative solution of normal equations with the prior, from equal amplitudes.
+fn solve(mut matrix: Vec<f64>, right: &[f64], ridge: f64) -> Vec<f64> {
+    let n = right.len();
+    let diagonal: f64 = (0..n).map(|i| matrix[i * n + i]).sum::<f64>() / n as f64;
+    let total: f64 = matrix.iter().sum();
+    let level = (right.iter().sum::<f64>() / total.max(1e-30)).max(0.0);
+    let mut x = vec![level; n];
+    // The prior has no slope at equal amplitudes.
+    let slope = |(row, right): (&[f64], &f64)| level * row.iter().sum::<f64>() - right;
+    let mut gradient: Vec<f64> = matrix.chunks_exact(n).zip(right).map(slope).collect();
+    (0..n).for_each(|i| matrix[i * n + i] += ridge * diagonal + 1e-30);
+    descend_nonnegative(&matrix, &mut x, &mut gradient, SWEEPS);
+    x
+}
+
+/// Each texel's least-squares albedo given the light: `pixels` are samples with their radiance if the albedo were 1, `before` the albedo until now, with which clipped
+/// samples are brighter than they are seen or not. Texels with few samples are drawn to `prior`. Results are in `[0.02, 0.98]`.
+fn solve_albedo<'a>(
+    pixels: impl Iterator<Item = (&'a Observation, &'a Layers)>,
+    before: &[Vec3],
+    prior: Vec3,
+) -> Vec<Vec3> {
+    let texels = before.len();
+    let (mut above, mut below) = (vec![DVec3::ZERO; texels], vec![DVec3::ZERO; texels]);
+    let (mut power, mut count) = (DVec3::ZERO, 0u32);
+    for (Observation { point, observed, .. }, unit) in pixels {
+        let (white, specular) = (Vec3::from(unit.diffuse), Vec3::from(unit.specular));
+        let target = (observed.target(white * point.texels.blend(before) + specular) - specular).as_dvec3();
+        let diffuse = white.as_dvec3();
+        power += diffuse * diffuse;
+        count += 1;
+        for i in 0..4 {
+            let (texel, weight) = (point.texels.indices[i] as usize, f64::from(point.texels.weights[i]));
+            above[texel] += diffuse * target * weight;
+            below[texel] += diffuse * diffuse * weight;
+        }
+    }
+    // One twentieth of the weight of an average sample.
+    let lean = power * (0.05 / f64::from(count.max(1))) + DVec3::splat(1e-12);
+    let prior = prior.as_dvec3();
+    above
+        .iter()
+        .zip(&below)
+        .map(|(a, b)| {
+            let albedo = (*a + lean * prior) / (*b + lean);
+            albedo.clamp(DVec3::splat(0.02), DVec3::splat(0.98)).as_vec3()
+        })
+        .collect()
+}
+
+/// A lobe may be moved if its power is below this fraction of the mean power.
+const FAINT: f32 = 0.25;
+/// Most lobes that are moved at a time, as a fraction of all.
+const MOST: f32 = 0.25;
+/// A lobe sharper than this is not split, because photographs do not resolve more.
+const SHARPEST: f32 = 400.0;
+
+/// Removes up to a quarter of the lobes, the faintest, and for each splits one of the brightest in two; the total power stays the same.
+///
+/// A lobe of sharpness λ becomes two of sharpness 2λ, half a standard deviation (1/√λ) to either side on a great circle, so
+/// that together they are as wide as the original.
+fn move_lobes_to_the_light(lobes: &mut [LightLobe]) {
+    let total: f32 = lobes.iter().map(power).sum();
+    if total <= 0.0 || total.is_nan() {
+        return;
+    }
+    let faint = FAINT * total / lobes.len() as f32;
+    for turn in 0..(lobes.len() as f32 * MOST) as usize {
+        let by_power = |a: &usize, b: &usize| power(&lobes[*a]).total_cmp(&power(&lobes[*b]));
+        let weakest = (0..lobes.len()).min_by(by_power);
+        let strongest = (0..lobes.len()).filter(|i| lobes[*i].sharpness <= SHARPEST).max_by(by_power);
+        let (Some(weakest), Some(strongest)) = (weakest, strongest) else { return };
+        if power(&lobes[weakest]) > faint || power(&lobes[strongest]) < 2.0 * faint {
+            return;
+        }
+        let LightLobe { axis, sharpness, amplitude } = lobes[strongest];
+        let (across, along) = axis.any_orthonormal_pair();
+        let (sin, cos) = (turn as f32 * 2.4).sin_cos();
+        let apart = (across * cos + along * sin) * (0.5 / sharpness.max(1.0).sqrt());
+        let amplitude = amplitude * (0.5 * integral(sharpness) / integral(2.0 * sharpness));
+        let half = |axis: Vec3| LightLobe { axis: axis.normalize(), sharpness: 2.0 * sharpness, amplitude };
+        lobes[strongest] = half(axis + apart);
+        lobes[weakest] = half(axis - apart);
+    }
+}
+
+/// Luminance of the amplitude times the integral over the sphere.
+fn power(lobe: &LightLobe) -> f32 {
+    luminance(lobe.amplitude) * integral(lobe.sharpness)
+}
+
+fn integral(sharpness: f32) -> f32 {
+    sphere_integral(f64::from(sharpness)) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lobelia_sg::fibonacci::{fibonacci_axes, spacing_sharpness};
+    use lobelia_sg::ray::TexelAddress;
+    use lobelia_world::sample::pixel::{Observed, PixelOf};
+    use lobelia_world::sample::point::SurfacePoint;
+
+    #[test]
+    fn a_part_of_the_surface_has_all_pixels_of_its_places() {
+        let seen = |place: usize| {
+            let [x, y] = [place % 600, place / 600 % 600].map(|at| at as f32 / 300.0 - 1.0);
+            let point = SurfacePoint { position: Vec3::new(x, y, x * y), ..SurfacePoint::default() };
+            let pixel = PixelOf { pixel: place as u32, ..PixelOf::default() };
+            Observation { pixel, point, ..Observation::default() }
+        };
+        // Each of 360 000 places is seen three times.
+        let all: Vec<Observation> = (0..3 * 360_000).map(seen).collect();
+        assert!(part_of_surface(&all[..2 * PART_PIXELS - 1]).is_none());
+        let part = part_of_surface(&all).unwrap();
+        assert!((PART_PIXELS / 2..PART_PIXELS * 2).contains(&part.len()), "{}", part.len());
+        let mut times = vec![0; 360_000];
+        part.iter().for_each(|seen| times[seen.pixel.pixel as usize % 360_000] += 1);
+        assert!(times.iter().all(|times| [0, 3].contains(times)));
+    }
+
+    /// Chunks of 200 points in all, of which each sees `response(point, lobe)` of a lobe in every channel, and shows what the amplitudes `truth` make of it.
+    fn rows(truth: &[f32], response: impl Fn(usize, usize) -> f32) -> Vec<Rows> {
+        let chunk = |points: Range<usize>| {
+            let mut responses = vec![[0.0; TILE]; truth.len().div_ceil(TILE) * points.len()];
+            for (k, point) in points.clone().enumerate() {
+                for lobe in 0..truth.len() {
+                    responses[lobe / TILE * points.len() + k][lobe % TILE] = response(point, lobe);
+                }
+            }
+            let shown = |point: usize| truth.iter().enumerate().map(|(i, x)| response(point, i) * x).sum();
+            let targets: Vec<f32> = points.map(shown).collect();
+            Rows {
+                responses: std::array::from_fn(|_| responses.clone()),
+                targets: std::array::from_fn(|_| targets.clone()),
+            }
+        };
+        vec![chunk(0..130), chunk(130..200)]
+    }
+
+    #[test]
+    fn amplitudes_are_found_again_and_none_is_negative() {
+        for lobes in [11, 37] {
+            let response =
+                |pixel: usize, lobe: usize| 0.5 + 0.5 * (0.731 * (pixel * (lobe + 1)) as f32).sin();
+            let truth: Vec<f32> =
+                (0..lobes).map(|i| if i % 3 == 0 { 0.0 } else { 0.3 + 0.1 * i as f32 }).collect();
+            let (matrix, right) = normal_equations(&rows(&truth, response), 1, lobes);
+            for (i, j) in [(0, 0), (3, 8), (10, 2), (lobes - 1, 1), (1, lobes - 1)] {
+                let sum: f64 = (0..200).map(|p| f64::from(response(p, i) * response(p, j))).sum();
+                assert!((matrix[i * lobes + j] - sum).abs() < 1e-3, "{i} {j}");
+            }
+            for (found, truth) in solve(matrix, &right, 0.0).iter().zip(&truth) {
+                assert!((found - f64::from(*truth)).abs() < 1e-2 && *found >= 0.0, "{found} {truth}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_prior_makes_of_nothing_nothing_and_of_what_no_pixel_sees_the_mean() {
+        let (matrix, right) = normal_equations(&rows(&[0.0; 5], |_, _| 0.0), 0, 5);
+        assert_eq!(solve(matrix, &right, 1e-2), vec![0.0; 5]);
+        let (matrix, right) = normal_equations(&rows(&[2.0; 5], |_, lobe| f32::from(lobe != 3)), 0, 5);
+        let found = solve(matrix, &right, 1e-2);
+        assert!(found.iter().all(|x| (x - 2.0).abs() < 1e-3), "{found:?}");
+    }
+
+    #[test]
+    fn clipped_samples_do_not_darken_an_albedo() {
+        // One texel of albedo 0.6 under lights from 0.5 to 2.5: the photograph ends at 1.
+        let lights: Vec<f32> = (0..9).map(|i| 0.5 + 0.25 * i as f32).collect();
+        let unit: Vec<Layers> =
+            lights.iter().map(|light| Layers { diffuse: [*light; 3], specular: [0.0; 3] }).collect();
+        let point = SurfacePoint {
+            texels: TexelAddress { weights: [1.0, 0.0, 0.0, 0.0], ..TexelAddress::default() },
+            ..SurfacePoint::default()
+        };
+        let seen = |light: &f32| {
+            let radiance = Vec3::splat((0.6 * light).min(1.0));
+            let observed = Observed { radiance, saturated: 0.6 * light >= 1.0 };
+            Observation { observed, point, ..Observation::default() }
+        };
+        let observations: Vec<Observation> = lights.iter().map(seen).collect();
+        let mut albedo = vec![Vec3::splat(0.4)];
+        let mut found = Vec::new();
+        for _ in 0..30 {
+            albedo = solve_albedo(observations.iter().zip(&unit), &albedo, Vec3::splat(0.6));
+            found.push(albedo[0].x);
+        }
+        assert!(found[0] < 0.52 && (found[29] - 0.6).abs() < 1e-3, "{found:?}");
+        assert!(found.windows(2).all(|pair| pair[1] >= pair[0] - 1e-6), "{found:?}");
+    }
+
+    #[test]
+    fn faint_lobes_go_to_the_bright_side_and_power_stays() {
+        let sharpness = spacing_sharpness(64);
+        let bright = |axis: Vec3| if axis.y > 0.8 { 1.0 } else { 1e-3 };
+        let lobe = |axis| LightLobe { axis, sharpness, amplitude: Vec3::splat(bright(axis)) };
+        let mut lobes: Vec<LightLobe> = fibonacci_axes(64).into_iter().map(lobe).collect();
+        let before: f32 = lobes.iter().map(power).sum();
+        let shining = |lobes: &[LightLobe]| lobes.iter().filter(|l| l.amplitude.x > 0.1).count();
+        let many = shining(&lobes);
+        move_lobes_to_the_light(&mut lobes);
+        assert_eq!(shining(&lobes), many + 16);
+        assert!(lobes.iter().all(|l| l.amplitude.x < 0.1 || l.axis.y > 0.6));
+        let after: f32 = lobes.iter().map(power).sum();
+        assert!((after / before - 1.0).abs() < 0.02, "{before} {after}");
+        assert!(lobes.iter().all(|l| (l.axis.length() - 1.0).abs() < 1e-5 && l.amplitude.is_finite()));
+    }
+
+    #[test]
+    fn an_even_or_dark_light_is_left_alone() {
+        for amplitude in [Vec3::ZERO, Vec3::ONE] {
+            let lobe = |axis| LightLobe { axis, sharpness: 20.0, amplitude };
+            let lobes: Vec<LightLobe> = fibonacci_axes(32).into_iter().map(lobe).collect();
+            let mut moved = lobes.clone();
+            move_lobes_to_the_light(&mut moved);
+            assert_eq!(moved, lobes);
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! The systems in [`Slot::Visibility`].
+//!
+//! Shadows and interreflection are updated when light or material have changed (`light_or_material_changed`), in a fit at most
+//! every few steps (`refresh_is_due`).
+
+use super::object_visibility::{Made, ObjectVisibility, WindowVisibility};
+use super::occlusion::Reflectance;
+use super::point_visibility::LobeRays;
+use bevy_ecs::prelude::{
+    Changed, IntoScheduleConfigs, Or, Query, Res, ResMut, Resource, SystemCondition, World,
+};
+use lobelia_sg::shading::PointVisibility;
+use lobelia_world::light::LightLobe;
+use lobelia_world::light::lights::IncidentLight;
+use lobelia_world::material::material_source::{
+    BaseMaterials, ColumnOf, Holds, MaterialSource, MaterialTexels, RecoveredMaterial, ShownMaterial,
+};
+use lobelia_world::material::sheen::mean_albedo;
+use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe};
+use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
+use lobelia_world::sample::pixel::{PixelOf, ViewRay};
+use lobelia_world::sample::point::{PointBlend, Scenery, SurfacePoint};
+use lobelia_world::sample::{LightRotations, Samples};
+use std::any::TypeId;
+
+/// Whether this step of a fit updates shadows and interreflection; a fit does so every few steps.
+#[derive(Resource, Clone, Copy, Debug)]
+pub struct RefreshDue(pub bool);
+
+/// Shadows and interreflection of the shown material in the Frame phase; needs an [`ObjectVisibility`].
+pub struct FrameVisibilityPlugin;
+
+impl Plugin for FrameVisibilityPlugin {
+    fn build(&self, pipeline: &mut Pipeline) {
+        pipeline.world.init_resource::<WindowVisibility>();
+        let refresh = refresh_visibility::<ShownMaterial>.run_if(light_or_material_changed::<ShownMaterial>);
+        pipeline.swap(Phase::Frame, Slot::Visibility, (refresh, gather_visibility).chain());
+    }
+
+    fn cleanup(world: &mut World) {
+        world.insert_resource(WindowVisibility::default());
+    }
+}
+
+/// Shadows and interreflection of the recovered material in the FitStep phase, updated if [`RefreshDue`] is set; needs an
+/// [`ObjectVisibility`].
+pub struct FitVisibilityPlugin;
+
+impl Plugin for FitVisibilityPlugin {
+    fn build(&self, pipeline: &mut Pipeline) {
+        pipeline.world.init_resource::<WindowVisibility>();
+        pipeline.world.insert_resource(RefreshDue(true));
+        let refresh = refresh_visibility::<RecoveredMaterial>
+            .run_if(refresh_is_due.and_then(light_or_material_changed::<RecoveredMaterial>));
+        pipeline.swap(Phase::FitStep, Slot::Visibility, (refresh, gather_visibility_of_step).chain());
+    }
+
+    fn cleanup(world: &mut World) {
+        world.insert_resource(WindowVisibility::default());
+        world.remove_resource::<RefreshDue>();
+    }
+}
+
+/// Run condition: whether this step of a fit updates visibility, or the set of lobes has changed.
+pub fn refresh_is_due(
+    due: Res<RefreshDue>,
+    light: Res<IncidentLight>,
+    object: Option<Res<ObjectVisibility>>,
+) -> bool {
+    due.0 || object.is_none_or(|object| object.stride != light.lobes.stride())
+}
+
+/// Changes of light and material that affect shadows and interreflection.
+type Inputs<M> = Or<(
+    Changed<LightLobe>,
+    Changed<ColumnOf<M, SpecularLobe>>,
+    Changed<ColumnOf<M, DiffuseAlbedo>>,
+    Changed<ColumnOf<M, DiffuseSheen>>,
+    Changed<ColumnOf<M, SpecularBlend>>,
+)>;
+
+/// Run condition: whether light or material have changed since the last call, or the last update was for other entities.
+pub fn light_or_material_changed<M: MaterialSource>(
+    light: Res<IncidentLight>,
+    materials: Res<BaseMaterials>,
+    object: Option<Res<ObjectVisibility>>,
+    changed: Query<(), Inputs<M>>,
+) -> bool {
+    let made = Some(inputs::<M>(&light, &materials));
+    object.is_none_or(|object| object.made != made) || !changed.is_empty()
+}
+
+fn inputs<M: MaterialSource>(light: &IncidentLight, materials: &BaseMaterials) -> Made {
+    let sources = light.entities.iter().chain(&materials.entities).copied().collect();
+    (sources, light.turn, TypeId::of::<M>())
+}
+
+/// Gather: computes shadows and interreflection for the current light and material.
+pub fn refresh_visibility<M: MaterialSource>(
+    light: Res<IncidentLight>,
+    materials: Res<BaseMaterials>,
+    texels: MaterialTexels<M>,
+    turns: LightRotations,
+    mut object: ResMut<ObjectVisibility>,
+) -> SystemResult {
+    let (albedo, sheen, _, blends) = texels.columns()?;
+    // Specular light of a second reflection is treated as diffuse, but where rays find it.
+    let reflectance = |texel: u32| {
+        let blend = blends[texel as usize].value();
+        Reflectance {
+            diffuse: mean_albedo(albedo[texel as usize].value().0, sheen[texel as usize].value().0),
+            specular: materials.by_number().map(|(k, lobe)| lobe.albedo * blend.0[k]).sum(),
+            roughness: blend.roughness(materials.by_number()),
+        }
+    };
+    object.refresh(&light.lobes, turns.by_view().all(), &reflectance);
+    object.made = Some(inputs::<M>(&light, &materials));
+    Ok(())
+}
+
+/// The columns that the visibility of a point depends on.
+type PointColumns = (
+    &'static SurfacePoint,
+    &'static ViewRay,
+    &'static PixelOf,
+    &'static PointBlend,
+    &'static mut PointVisibility,
+);
+
+/// Gather: the visibility of the points of the window.
+pub fn gather_visibility(
+    object: Res<ObjectVisibility>,
+    (materials, scenery): (Res<BaseMaterials>, Res<Scenery>),
+    samples: Samples<PointColumns>,
+    out: ResMut<WindowVisibility>,
+) -> SystemResult {
+    see_points(&object, &materials, LobeRays::of_frame(&*scenery.0), samples, out)
+}
+
+/// Gather: the same in a step of a fit, with fewer rays.
+pub fn gather_visibility_of_step(
+    object: Res<ObjectVisibility>,
+    (materials, scenery): (Res<BaseMaterials>, Res<Scenery>),
+    samples: Samples<PointColumns>,
+    out: ResMut<WindowVisibility>,
+) -> SystemResult {
+    see_points(&object, &materials, LobeRays::of_step(&*scenery.0), samples, out)
+}
+
+fn see_points(
+    object: &ObjectVisibility,
+    materials: &BaseMaterials,
+    lobe_rays: LobeRays,
+    samples: Samples<PointColumns>,
+    mut out: ResMut<WindowVisibility>,
+) -> SystemResult {
+    let (points, rays, pixels, blends, mut seen) = samples.columns()?;
+    let viewer = |i: usize| (-rays[i].0.direction, pixels[i]);
+    let mean = |i: usize| match materials.lobes.as_slice() {
+        [(_, one)] => one.roughness,
+        _ => SpecularBlend(blends[i].0).roughness(materials.by_number()),
+    };
+    object.window(&points, viewer, mean, Some(lobe_rays), &mut out, &mut seen);
+    Ok(())
+}

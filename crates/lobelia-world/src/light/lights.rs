@@ -1,0 +1,211 @@
+//! Lights in a world: lobes are entities, a named light is an entity that its lobes refer to, and the system in
+//! [`Slot::Light`](crate::pipeline::Slot::Light) selects the active light.
+//!
+//! Lobes that refer to no light are the scene's own light, which a fit optimizes. Relighting means spawning a named light and swapping
+//! in [`provide_light`] with its name; closed forms and the path tracer both use it.
+//!
+//! | system | stage, slot | reads | writes |
+//! | --- | --- | --- | --- |
+//! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LobesOf`], [`LightName`], [`LightGroup`], [`LightMap`], [`LightFrame`], [`OwnLightFrame`], [`Placements`], [`PicturePlacement`] | [`IncidentLight`] |
+
+use super::illuminate::{LobeLight, MapLight, TurnedLight};
+use super::light_frame::{LightFrame, OwnLightFrame, PictureRotation};
+use super::lobe::{LightLobe, rotate_lobes};
+use super::placement::{LightGroup, PicturePlacement, PlacedFrame, Placements, light_from_world};
+use crate::pipeline::SystemResult;
+use bevy_ecs::prelude::{
+    Component, Entity, IntoScheduleConfigs, Query, Res, ResMut, Resource, With, Without, World,
+};
+use bevy_ecs::schedule::ScheduleConfigs;
+use bevy_ecs::system::{ScheduleSystem, SystemParam};
+use glam::{Mat3, Quat};
+use lobelia_geometry::error::{Error, Result};
+use lobelia_sg::ray::Illuminate;
+use lobelia_sg::shading::LobeColumns;
+use std::sync::Arc;
+
+/// Name of a light other than the scene's own.
+#[derive(Component, Clone, Debug, PartialEq, Eq)]
+#[require(LobesOf)]
+pub struct LightName(pub String);
+
+/// The light that a lobe belongs to. Lobes without this component belong to the scene's own light.
+#[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
+#[relationship(relationship_target = LobesOf)]
+pub struct LobeOf(pub Entity);
+
+/// A lobe of the scene's own light that only fills it up to as many as another light has
+/// ([`groups`](super::groups)).
+#[derive(Component, Clone, Copy, Debug, Default)]
+pub struct FillingLobe;
+
+/// The lobes of a light. They are despawned with it.
+#[derive(Component, Clone, Debug, Default, PartialEq, Eq)]
+#[relationship_target(relationship = LobeOf, linked_spawn)]
+pub struct LobesOf(Vec<Entity>);
+
+impl LobesOf {
+    /// Their entities, in order.
+    pub fn entities(&self) -> &[Entity] {
+        &self.0
+    }
+}
+
+/// The environment map that the lobes of a light approximate. An entity with this component and neither [`LightName`] nor [`LightGroup`] has the map of the scene's own light.
+#[derive(Component, Clone)]
+pub struct LightMap(pub Arc<MapLight>);
+
+/// The light of this run, written by the system in [`Slot::Light`](crate::pipeline::Slot::Light).
+#[derive(Resource, Clone, Default)]
+pub struct IncidentLight {
+    /// SG lobes in columns, for closed forms.
+    pub lobes: LobeColumns,
+    /// The lobes' entities, in the same order.
+    pub entities: Vec<Entity>,
+    /// The light in a form that can be sampled, for path tracing.
+    pub distant: Option<Arc<dyn Illuminate>>,
+    /// The frame of the lobes, for samples of several views, and the placements under them. A picture's light is in the world, turned as its
+    /// camera has it.
+    pub frame: PlacedFrame,
+    /// The rotation from the light's frame into the world that the lobes have had already.
+    pub turn: Mat3,
+}
+
+/// The active light.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum LightChoice {
+    /// The scene's own light.
+    #[default]
+    Own,
+    /// The light with this name.
+    Named(String),
+}
+
+/// The lobes of a light with their entities, and its map, if it has one.
+pub type LobesAndMap = (Vec<(Entity, LightLobe)>, Option<Arc<MapLight>>);
+
+/// All lights, as a system parameter.
+#[derive(SystemParam)]
+pub struct Lights<'w, 's> {
+    own: Query<'w, 's, (Entity, &'static LightLobe), Without<LobeOf>>,
+    own_map: Query<'w, 's, &'static LightMap, (Without<LightName>, Without<LightGroup>)>,
+    groups: Query<'w, 's, (&'static LightGroup, &'static LobesOf, Option<&'static LightMap>)>,
+    named: Query<
+        'w,
+        's,
+        (&'static LightName, &'static LobesOf, Option<&'static LightMap>, Option<&'static LightFrame>),
+    >,
+    lobes: Query<'w, 's, (Entity, &'static LightLobe), With<LobeOf>>,
+    own_frame: Option<Res<'w, OwnLightFrame>>,
+    own_placements: Option<Res<'w, Placements>>,
+    picture: Option<Res<'w, PictureRotation>>,
+    picture_placement: Option<Res<'w, PicturePlacement>>,
+}
+
+impl Lights<'_, '_> {
+    /// The lobes of a light and their entities, and its map, if it has one.
+    ///
+    /// # Errors
+    /// If there is no light with that name, or there are several.
+    pub fn of(&self, choice: &LightChoice) -> Result<LobesAndMap> {
+        let LightChoice::Named(name) = choice else {
+            let group = self.picture_placement.as_deref().map(|placement| placement.light);
+            if let Some((_, lobes, map)) = self.groups.iter().find(|(of, ..)| Some(**of) == group) {
+                return Ok(self.lobes_and_map(lobes, map));
+            }
+            let lobes = self.own.iter().map(|(entity, lobe)| (entity, *lobe)).collect();
+            return Ok((lobes, self.own_map.iter().next().map(|map| map.0.clone())));
+        };
+        let mut found = self.named.iter().filter(|(of, ..)| of.0 == *name);
+        let (Some((_, lobes, map, _)), None) = (found.next(), found.next()) else {
+            let names: Vec<&str> = self.named.iter().map(|(name, ..)| name.0.as_str()).collect();
+            let problem =
+                format!("there must be exactly one light named {name}; the lights are: {}", names.join(", "));
+            return Err(Error::run("the light", problem));
+        };
+        Ok(self.lobes_and_map(lobes, map))
+    }
+
+    fn lobes_and_map(&self, lobes: &LobesOf, map: Option<&LightMap>) -> LobesAndMap {
+        let lobes = self.lobes.iter_many(&lobes.0).flatten().map(|(entity, lobe)| (entity, *lobe)).collect();
+        (lobes, map.map(|map| map.0.clone()))
+    }
+
+    /// The frame of the lobes of a light after a rotation into the world, and that rotation.
+    fn placed(&self, choice: &LightChoice) -> (PlacedFrame, Mat3) {
+        // Other lights stand in the world, however the object lies, if they do not say otherwise: a relit object turns under them.
+        let frame = match choice {
+            LightChoice::Own => Some(self.own_frame.as_deref().map(|own| own.0).unwrap_or_default()),
+            LightChoice::Named(name) => {
+                self.named.iter().find(|(of, ..)| of.0 == *name).and_then(|(.., frame)| frame.copied())
+            }
+        };
+        let Some(frame) = frame else { return (PlacedFrame::default(), Mat3::IDENTITY) };
+        let Some(picture) = &self.picture else {
+            let own = self.own_placements.as_deref().filter(|_| *choice == LightChoice::Own);
+            return (PlacedFrame { frame, placements: own.cloned().unwrap_or_default() }, Mat3::IDENTITY);
+        };
+        let placement =
+            self.picture_placement.as_deref().map_or(Mat3::IDENTITY, |placement| placement.room_from_object);
+        (PlacedFrame::default(), light_from_world(frame, picture.0, placement).transpose())
+    }
+}
+
+/// For [`Slot::Light`](crate::pipeline::Slot::Light): selects the active light. With `by_map`, path tracing samples its map, if it has
+/// one; closed forms always use its lobes.
+pub fn provide_light(choice: LightChoice, by_map: bool) -> ScheduleConfigs<ScheduleSystem> {
+    provide_turned_light(choice, by_map, Quat::IDENTITY)
+}
+
+/// [`provide_light`], turned in the world: light from direction d comes from `turn * d`.
+pub fn provide_turned_light(
+    choice: LightChoice,
+    by_map: bool,
+    turn: Quat,
+) -> ScheduleConfigs<ScheduleSystem> {
+    let system = move |lights: Lights, mut light: ResMut<IncidentLight>| -> SystemResult {
+        let (lobes, map) = lights.of(&choice)?;
+        let mut lobes_only: Vec<LightLobe> = lobes.iter().map(|(_, lobe)| *lobe).collect();
+        (light.frame, light.turn) = lights.placed(&choice);
+        if turn != Quat::IDENTITY {
+            light.turn = Mat3::from_quat(turn) * light.turn;
+        }
+        if light.turn != Mat3::IDENTITY {
+            lobes_only = rotate_lobes(&lobes_only, Quat::from_mat3(&light.turn));
+        }
+        light.entities = lobes.iter().map(|(entity, _)| *entity).collect();
+        light.lobes = LobeColumns::from_lobes(lobes_only.iter().map(Into::into));
+        light.distant = Some(match map.filter(|_| by_map) {
+            Some(map) if light.turn == Mat3::IDENTITY => map,
+            Some(light_of_map) => Arc::new(TurnedLight { light: light_of_map, world_from_light: light.turn }),
+            None => Arc::new(LobeLight::new(&lobes_only)),
+        });
+        Ok(())
+    };
+    system.into_configs()
+}
+
+/// Spawns a named light; replaces a light that has the name already.
+pub fn spawn_light(
+    world: &mut World,
+    name: impl Into<String>,
+    lobes: &[LightLobe],
+    map: Option<Arc<MapLight>>,
+) -> Entity {
+    let name = name.into();
+    let mut query = world.query::<(Entity, &LightName)>();
+    let old: Vec<Entity> = query.iter(world).filter(|(_, of)| of.0 == name).map(|(light, _)| light).collect();
+    old.into_iter().for_each(|light| _ = world.despawn(light));
+    let light = world.spawn(LightName(name)).id();
+    if let Some(map) = map {
+        world.entity_mut(light).insert(LightMap(map));
+    }
+    world.spawn_batch(lobes.iter().map(|lobe| (*lobe, LobeOf(light))).collect::<Vec<_>>());
+    light
+}
+
+/// The lobes of the scene's own light.
+pub fn own_lobes(world: &mut World) -> Vec<LightLobe> {
+    let mut own = world.query_filtered::<&LightLobe, (Without<LobeOf>, Without<FillingLobe>)>();
+    own.iter(world).copied().collect()
+}

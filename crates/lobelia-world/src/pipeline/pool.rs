@@ -1,0 +1,341 @@
+//! Pools: many entities whose columns kernels read as slices.
+//!
+//! A pool is the set of all entities with one index component ([`PoolIndex`]): pixel samples, texels, vertices, bricks. Kernels refer
+//! to a row by that index, never by the position of an entity in a table. While all entities of a pool have the same components and
+//! are in the order of their indices, as after spawning in one batch, columns are slices of the table and nothing is copied. If an
+//! additional component or another order moves entities to other rows or tables, columns are copied in and out in the order of
+//! the indices. The results are the same, but this is slower.
+
+use bevy_ecs::change_detection::ContiguousMut;
+use bevy_ecs::component::Mutable;
+use bevy_ecs::prelude::{Component, Entity, Query, World};
+use bevy_ecs::query::ContiguousQueryData;
+use bevy_ecs::system::{SystemParam, SystemState};
+use lobelia_geometry::error::{Error, Result};
+use std::ops::{Deref, DerefMut, Range};
+use std::sync::Arc;
+
+/// The row of an entity in its pool: 0 to the length of the pool − 1, each once.
+pub trait PoolIndex: Component {
+    /// Name of an entity of the pool, for messages.
+    const NAME: &'static str;
+
+    /// The row.
+    fn row(&self) -> usize;
+}
+
+/// Declares index components.
+#[macro_export]
+macro_rules! pool_index {
+    ($($(#[$doc:meta])* $name:ident($what:literal);)*) => { $(
+        $(#[$doc])*
+        #[derive(bevy_ecs::prelude::Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub struct $name(pub u32);
+
+        impl $crate::pipeline::pool::PoolIndex for $name {
+            const NAME: &'static str = $what;
+
+            fn row(&self) -> usize {
+                self.0 as usize
+            }
+        }
+    )* };
+}
+pub use pool_index;
+
+/// A pool as a system parameter: columns `D` (`&T`, `&mut T`, or a tuple of them) of the entities with index `I`.
+#[derive(SystemParam)]
+pub struct Pool<'w, 's, I: PoolIndex, D: Columns + 'static> {
+    query: Query<'w, 's, (&'static I, D)>,
+}
+
+impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
+    /// The columns of all rows. Writing to one marks all its components as changed ([`ColumnMut::quiet`] does not).
+    ///
+    /// # Errors
+    /// If rows are missing or duplicate.
+    pub fn columns(self) -> Result<D::Slices<'w>> {
+        self.select(|count| 0..count, true)
+    }
+
+    /// The columns of some rows. Writing does not mark them as changed: use this for data that every run recomputes.
+    ///
+    /// # Errors
+    /// If one of these rows is missing, or duplicate where no table has all of them in order: if one does, no other table is searched.
+    pub fn rows(self, rows: Range<usize>) -> Result<D::Slices<'w>> {
+        self.select(|_| rows, false)
+    }
+
+    /// The columns of the rows that `choose` returns for the length of the pool; otherwise like [`Self::rows`].
+    ///
+    /// # Errors
+    /// The errors of [`Self::rows`].
+    pub fn rows_of(self, choose: impl FnOnce(usize) -> Range<usize>) -> Result<D::Slices<'w>> {
+        self.select(choose, false)
+    }
+
+    /// Columns of rows: slices of the table if it has them in order, else copies.
+    fn select(self, choose: impl FnOnce(usize) -> Range<usize>, marks: bool) -> Result<D::Slices<'w>> {
+        // The parts of the pool in each table.
+        let chunks = self.query.contiguous_iter_inner().map_err(|error| failed::<I>(error.to_string()))?;
+        let mut chunks: Vec<_> = chunks.filter(|(index, _)| !index.is_empty()).collect();
+        let rows = choose(chunks.iter().map(|(index, _)| index.len()).sum());
+        if let Some(only) = chunks.iter().position(|(index, _)| in_order(index, &rows)) {
+            // The other chunks, if any, have none of these rows, or duplicates of them, which are not searched for.
+            let (_, chunk) = chunks.swap_remove(only);
+            return Ok(D::slices(chunk, rows, marks));
+        }
+        let indices: Vec<&[I]> = chunks.iter().map(|(index, _)| *index).collect();
+        let places = places(&indices, &rows)?;
+        Ok(D::gathered(chunks.into_iter().map(|(_, chunk)| chunk).collect(), &places, marks))
+    }
+}
+
+/// Whether the entities at `rows` of a table have these indices. Without early exit, so that it compiles to a vector loop.
+fn in_order<I: PoolIndex>(index: &[I], rows: &Range<usize>) -> bool {
+    let part = index.get(rows.clone());
+    part.is_some_and(|part| {
+        part.iter().zip(rows.clone()).fold(0, |off, (index, row)| off | (index.row() ^ row)) == 0
+    })
+}
+
+/// Location of a row of a pool: chunk, and row in it.
+type TableRow = (u32, u32);
+
+fn places<I: PoolIndex>(indices: &[&[I]], rows: &Range<usize>) -> Result<Arc<[TableRow]>> {
+    const NOWHERE: TableRow = (u32::MAX, u32::MAX);
+    let mut places = vec![NOWHERE; rows.len()];
+    for (chunk, index) in indices.iter().enumerate() {
+        for (place, index) in index.iter().enumerate() {
+            let Some(slot) = index.row().checked_sub(rows.start).and_then(|row| places.get_mut(row)) else {
+                continue;
+            };
+            if *slot != NOWHERE {
+                return Err(wrong_row::<I>(index.row(), "is duplicate"));
+            }
+            *slot = (chunk as u32, place as u32);
+        }
+    }
+    match places.iter().position(|place| *place == NOWHERE) {
+        Some(missing) => Err(wrong_row::<I>(rows.start + missing, "is missing")),
+        None => Ok(places.into()),
+    }
+}
+
+fn failed<I: PoolIndex>(problem: impl Into<String>) -> Error {
+    Error::run(format!("the {} pool", I::NAME), problem)
+}
+
+fn wrong_row<I: PoolIndex>(row: usize, problem: &str) -> Error {
+    failed::<I>(format!("{} {row} {problem}: indices count from 0, each once", I::NAME))
+}
+
+/// The column types of a [`Pool`]: `&T` and `&mut T` of `Copy` components, and tuples of these.
+pub trait Columns: ContiguousQueryData {
+    /// The columns as slices: [`Column`] for `&T`, [`ColumnMut`] for `&mut T`.
+    type Slices<'w>;
+
+    /// Consecutive rows of a table.
+    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> Self::Slices<'w>;
+
+    /// Rows from several locations, copied in order.
+    fn gathered<'w, 's>(
+        chunks: Vec<Self::Contiguous<'w, 's>>,
+        places: &Arc<[TableRow]>,
+        marks: bool,
+    ) -> Self::Slices<'w>;
+}
+
+/// A column that is read.
+pub enum Column<'w, T> {
+    /// A slice of the table.
+    Table(&'w [T]),
+    /// A copy in the order of the indices.
+    Copied(Vec<T>),
+}
+
+impl<T> Deref for Column<'_, T> {
+    type Target = [T];
+
+    #[inline]
+    fn deref(&self) -> &[T] {
+        match self {
+            Self::Table(slice) => slice,
+            Self::Copied(values) => values,
+        }
+    }
+}
+
+impl<T: Component + Copy> Columns for &'static T {
+    type Slices<'w> = Column<'w, T>;
+
+    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, _marks: bool) -> Column<'w, T> {
+        Column::Table(&chunk[rows])
+    }
+
+    fn gathered<'w, 's>(
+        chunks: Vec<Self::Contiguous<'w, 's>>,
+        places: &Arc<[TableRow]>,
+        _marks: bool,
+    ) -> Column<'w, T> {
+        Column::Copied(places.iter().map(|&(chunk, place)| chunks[chunk as usize][place as usize]).collect())
+    }
+}
+
+/// A column that is written. A copy is written back to its table when it is dropped.
+pub struct ColumnMut<'w, T: Copy> {
+    source: Source<'w, T>,
+    /// Whether the first write marks the components as changed.
+    marks: bool,
+}
+
+enum Source<'w, T> {
+    Table { chunk: ContiguousMut<'w, T>, rows: Range<usize> },
+    Copied { values: Vec<T>, chunks: Vec<ContiguousMut<'w, T>>, places: Arc<[TableRow]> },
+}
+
+impl<T: Copy> ColumnMut<'_, T> {
+    /// Disables change marks: writing does not mark components as changed.
+    #[must_use]
+    pub fn quiet(mut self) -> Self {
+        self.marks = false;
+        self
+    }
+}
+
+impl<T: Copy> Deref for ColumnMut<'_, T> {
+    type Target = [T];
+
+    #[inline]
+    fn deref(&self) -> &[T] {
+        match &self.source {
+            Source::Table { chunk, rows } => &chunk[rows.clone()],
+            Source::Copied { values, .. } => values,
+        }
+    }
+}
+
+impl<T: Copy> DerefMut for ColumnMut<'_, T> {
+    #[inline]
+    fn deref_mut(&mut self) -> &mut [T] {
+        let marks = std::mem::take(&mut self.marks);
+        match &mut self.source {
+            Source::Table { chunk, rows } => {
+                if marks {
+                    chunk.mark_all_as_changed();
+                }
+                &mut chunk.bypass_change_detection()[rows.clone()]
+            }
+            Source::Copied { values, chunks, .. } => {
+                if marks {
+                    chunks.iter_mut().for_each(ContiguousMut::mark_all_as_changed);
+                }
+                values
+            }
+        }
+    }
+}
+
+impl<T: Copy> Drop for ColumnMut<'_, T> {
+    fn drop(&mut self) {
+        if let Source::Copied { values, chunks, places } = &mut self.source {
+            for (value, (chunk, place)) in values.iter().zip(places.iter()) {
+                chunks[*chunk as usize].bypass_change_detection()[*place as usize] = *value;
+            }
+        }
+    }
+}
+
+impl<T: Component<Mutability = Mutable> + Copy> Columns for &'static mut T {
+    type Slices<'w> = ColumnMut<'w, T>;
+
+    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> ColumnMut<'w, T> {
+        ColumnMut { source: Source::Table { chunk, rows }, marks }
+    }
+
+    fn gathered<'w, 's>(
+        chunks: Vec<Self::Contiguous<'w, 's>>,
+        places: &Arc<[TableRow]>,
+        marks: bool,
+    ) -> ColumnMut<'w, T> {
+        let value = |&(chunk, place): &TableRow| chunks[chunk as usize][place as usize];
+        let values = places.iter().map(value).collect();
+        ColumnMut { source: Source::Copied { values, chunks, places: places.clone() }, marks }
+    }
+}
+
+/// Tuples of columns, up to six.
+macro_rules! tuple_columns {
+    ($($name:ident $value:ident),*) => {
+        #[allow(non_snake_case)]
+        impl<$($name: Columns),*> Columns for ($($name,)*) {
+            type Slices<'w> = ($($name::Slices<'w>,)*);
+
+            fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> Self::Slices<'w> {
+                let ($($value,)*) = chunk;
+                ($($name::slices($value, rows.clone(), marks),)*)
+            }
+
+            fn gathered<'w, 's>(
+                chunks: Vec<Self::Contiguous<'w, 's>>,
+                places: &Arc<[TableRow]>,
+                marks: bool,
+            ) -> Self::Slices<'w> {
+                // Vectors have the names of the types, their elements the names of the values.
+                $(let mut $name = Vec::with_capacity(chunks.len());)*
+                for ($($value,)*) in chunks {
+                    $($name.push($value);)*
+                }
+                ($($name::gathered($name, places, marks),)*)
+            }
+        }
+    };
+}
+tuple_columns!(A a);
+tuple_columns!(A a, B b);
+tuple_columns!(A a, B b, C c);
+tuple_columns!(A a, B b, C c, D d);
+tuple_columns!(A a, B b, C c, D d, E e);
+tuple_columns!(A a, B b, C c, D d, E e, F f);
+
+/// Rows that are despawned before the messages of their removal are dropped.
+const DESPAWNED_AT_ONCE: usize = 1 << 16;
+
+/// Removes rows of a pool. Of many rows `RemovedComponents` tells of the last alone: the world keeps the room of these messages, which
+/// for the pixels of a fit is as large as the pool.
+pub fn despawn_rows(world: &mut World, rows: &[Entity]) {
+    for (number, part) in rows.chunks(DESPAWNED_AT_ONCE).enumerate() {
+        if number > 0 {
+            world.clear_trackers();
+        }
+        part.iter().for_each(|row| _ = world.despawn(*row));
+    }
+}
+
+/// A copy of one column of a pool, all rows; empty if the pool is.
+///
+/// # Errors
+/// If rows are missing or duplicate.
+pub fn read_column<I: PoolIndex, T: Component + Copy>(world: &mut World) -> Result<Vec<T>> {
+    let mut state = SystemState::<Pool<I, &'static T>>::new(world);
+    let pool = state.get(world).map_err(|error| failed::<I>(error.to_string()))?;
+    pool.columns().map(|column| column.to_vec())
+}
+
+/// Writes one column of a pool, all rows.
+///
+/// # Errors
+/// If rows are missing or duplicate, or `values` has another length.
+pub fn write_column<I: PoolIndex, T>(world: &mut World, values: &[T]) -> Result<()>
+where
+    T: Component<Mutability = Mutable> + Copy,
+{
+    let mut state = SystemState::<Pool<I, &'static mut T>>::new(world);
+    let pool = state.get_mut(world).map_err(|error| failed::<I>(error.to_string()))?;
+    let mut column = pool.columns()?;
+    if column.len() != values.len() {
+        return Err(failed::<I>(format!("{} values for {} rows", values.len(), column.len())));
+    }
+    column.copy_from_slice(values);
+    Ok(())
+}

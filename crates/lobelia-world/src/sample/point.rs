@@ -1,0 +1,67 @@
+//! The surface point of a pixel sample.
+
+use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
+use bevy_ecs::prelude::{Component, Resource};
+use glam::Vec3;
+use lobelia_sg::ray::{Hit, Intersect, TexelAddress};
+use std::sync::Arc;
+
+/// The surface point of a sample.
+#[derive(Component, Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePoint {
+    /// World position.
+    pub position: Vec3,
+    /// Interpolated unit normal, world space; zero if the ray has no hit.
+    pub normal: Vec3,
+    /// Unit normal of the flat triangle.
+    pub geometric_normal: Vec3,
+    /// Distance along the ray in world units; infinite if the ray has no hit.
+    pub distance: f32,
+    /// The texels that are interpolated here.
+    pub texels: TexelAddress,
+}
+
+impl Default for SurfacePoint {
+    fn default() -> Self {
+        Self {
+            position: Vec3::ZERO,
+            normal: Vec3::ZERO,
+            geometric_normal: Vec3::ZERO,
+            distance: f32::INFINITY,
+            texels: TexelAddress::default(),
+        }
+    }
+}
+
+impl SurfacePoint {
+    /// Whether the ray hits the surface.
+    pub fn is_hit(&self) -> bool {
+        self.distance.is_finite()
+    }
+}
+
+impl From<Option<Hit>> for SurfacePoint {
+    fn from(hit: Option<Hit>) -> Self {
+        hit.map_or_else(Self::default, |hit| Self {
+            position: hit.position,
+            normal: hit.normal,
+            geometric_normal: hit.geometric_normal,
+            distance: hit.distance,
+            texels: hit.texels,
+        })
+    }
+}
+
+/// The surface that rays are cast against.
+#[derive(Resource, Clone)]
+pub struct Scenery(pub Arc<dyn Intersect>);
+
+/// Blend weights of the base materials at a sample's point; they sum to at most one; the remainder has no specular light.
+#[derive(Component, Clone, Copy, Debug, PartialEq)]
+pub struct PointBlend(pub [f32; MAX_SPECULAR_LOBES]);
+
+impl Default for PointBlend {
+    fn default() -> Self {
+        Self(SpecularBlend::default().0)
+    }
+}

@@ -1,0 +1,523 @@
+//! The checkpoints of a run as files, and the state of a session beside its world.
+//!
+//! The manifest says with what the run was begun. `OUT/.checkpoint` has `N.state` for the beginning of pass
+//! N, and `N-part.state` for the last part of it that was done. A file counts if it is whole and of this
+//! run. The states of the last two passes are kept, so that there is one if the last is damaged.
+
+use crate::pass::run::progress::Progress;
+use crate::pass::run::session::{PassState, Session};
+use crate::report::scores::Scores;
+use crate::scene::Scene;
+use crate::spawn::{insert_known_along, several_materials};
+use crate::survey::open::OpenScene;
+use glam::Vec3;
+use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
+use lobelia_geometry::mesh::{Surface, triangles::Mesh};
+use lobelia_io::codec::file::{clear_scratch, is_there, read_bytes, read_parts, write_file};
+use lobelia_solve::shape::run::replace_texels;
+use lobelia_world::checkpoint::{
+    self, Checkpoints, ResumePoint, Saved, Span, keep_part, keep_pass, take_part,
+};
+use lobelia_world::material::replace_materials;
+use lobelia_world::sample::point::Scenery;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Debug;
+use std::fs;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// The folder of checkpoints, in the output folder.
+const FOLDER: &str = ".checkpoint";
+/// The ending of checkpoints.
+const ENDING: &str = ".state";
+/// The name of the session's own state in a checkpoint.
+const SESSION: &str = "session";
+/// Time between two checkpoints where nothing is said.
+pub(super) const USUAL_TIME: Duration = Duration::from_secs(60);
+
+const START_AGAIN: &str = "Start again with --force.";
+
+/// The hash of no bytes, and that of more bytes after others: FNV-1a with 64 bits, the same in every build.
+const NOTHING: u64 = 0xcbf2_9ce4_8422_2325;
+
+fn hash_on(hash: u64, bytes: &[u8]) -> u64 {
+    bytes.iter().fold(hash, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3))
+}
+
+/// Hash of a value as it is printed for programmers.
+fn hash_of(value: &impl Debug) -> u64 {
+    hash_on(NOTHING, format!("{value:?}").as_bytes())
+}
+
+/// Dependencies of a run: a resumed one must have the same. Hashes are 16 hexadecimal digits.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct RunStart {
+    pub version: String,
+    /// Hash of the scene, with what the command line adds.
+    #[serde(default)]
+    scene_hash: String,
+    /// Hash of the scene as it keeps to its memory.
+    #[serde(default)]
+    within_memory: String,
+    #[serde(default)]
+    threads: usize,
+    /// Hash of the views of a data set: their names, splits, cameras and files.
+    #[serde(default)]
+    views: String,
+    /// Hash of each photograph, mask, camera file, mesh, texture, light and ground truth that is read.
+    #[serde(default)]
+    inputs: BTreeMap<String, String>,
+}
+
+impl RunStart {
+    /// The start of a run that is begun now. `scene` is the loaded one as it keeps to its memory, `data` its data set.
+    pub fn new(loaded: &Scene, scene: &Scene, data: Option<&OpenScene>, inputs: &[PathBuf]) -> Result<Self> {
+        let hash = |path: &PathBuf| {
+            check_interrupted()?;
+            let mut hash = NOTHING;
+            read_parts(path, |part| hash = hash_on(hash, part))?;
+            Ok((path.to_string_lossy().into_owned(), format!("{hash:016x}")))
+        };
+        Ok(Self {
+            version: crate::version().into(),
+            scene_hash: Self::hash(loaded),
+            within_memory: Self::hash(scene),
+            threads: rayon::current_num_threads(),
+            views: Self::hash(&data.map(|data| &data.views)),
+            inputs: inputs.par_iter().map(hash).collect::<Result<_>>()?,
+        })
+    }
+
+    fn hash(value: &impl Debug) -> String {
+        format!("{:016x}", hash_of(value))
+    }
+
+    /// Whether it is of another scene, as far as this version can tell.
+    pub fn is_of_another(&self, scene: &Scene) -> bool {
+        self.version == crate::version() && self.scene_hash != Self::hash(scene)
+    }
+
+    /// Checks that a run that was begun with this goes on with the same program and scene.
+    pub fn check_scene(&self, scene: &Scene) -> Result<()> {
+        let version = crate::version();
+        if self.version != version {
+            let problem = format!("the run was begun by version {}, and this is {version}", self.version);
+            return other(problem, "Resume it with that version");
+        }
+        if self.is_of_another(scene) {
+            let problem = "the scene is not the one that the run was begun with";
+            return other(problem, "Resume it with the same scene file, --data, --set and --seed");
+        }
+        Ok(())
+    }
+
+    /// Checks that it goes on with the same data; a note says that bits may differ with another number of threads.
+    pub fn check_data(&self, now: &Self, progress: &dyn Progress) -> Result<()> {
+        let differs = |(path, hash): &(&String, &String)| self.inputs.get(*path) != Some(*hash);
+        let lacks = |path: &&String| !now.inputs.contains_key(*path);
+        let changed = now.inputs.iter().find(differs).map(|(path, _)| path);
+        if let Some(path) = changed.or_else(|| self.inputs.keys().find(lacks)) {
+            return other(
+                format!("{path} is not what it was when the run was begun"),
+                "Put it back as it was",
+            );
+        }
+        if self.views != now.views {
+            let problem =
+                "the cameras or lists of views of the data set are not what they were when the run was begun";
+            return other(problem, "Put them back as they were");
+        }
+        if self.within_memory != now.within_memory {
+            let problem =
+                "the run was begun with other sizes of its pools, because it was allowed other memory";
+            return other(problem, "Give the same --memory");
+        }
+        if self.threads != now.threads {
+            let text = format!(
+                "the run was begun with {} threads and goes on with {}: bits may differ from those of a run without a break",
+                self.threads, now.threads
+            );
+            progress.note(&text);
+        }
+        Ok(())
+    }
+
+    /// The number that marks the checkpoints of this run.
+    fn mark(&self) -> u64 {
+        hash_of(self)
+    }
+}
+
+/// The error of a run that would go on with something else than it was begun with.
+fn other(problem: impl Into<String>, remedy: &str) -> Result<()> {
+    Err(Error::usage(problem, format!("{remedy}, or start again with --force.")))
+}
+
+/// The head of a checkpoint, in JSON on a line of its own; the bytes of its parts follow.
+#[derive(Serialize, Deserialize)]
+struct Head {
+    /// [`RunStart::mark`] of the run.
+    run: u64,
+    /// Hash of the names and bytes of all parts.
+    hash: u64,
+    parts: Vec<(String, usize)>,
+}
+
+fn hash_of_parts(saved: &Saved) -> u64 {
+    saved.0.iter().fold(NOTHING, |hash, (name, bytes)| hash_on(hash_on(hash, name.as_bytes()), bytes))
+}
+
+fn path_of(folder: &Path, place: ResumePoint) -> PathBuf {
+    folder.join(match place {
+        ResumePoint::Pass(pass) => format!("{pass}{ENDING}"),
+        ResumePoint::Part(pass) => format!("{pass}-part{ENDING}"),
+    })
+}
+
+/// Writes a checkpoint: those that are not needed any more go when another one is written.
+fn write(folder: &Path, run: u64, place: ResumePoint, saved: &Saved) -> Result<()> {
+    let path = path_of(folder, place);
+    let parts = saved.0.iter().map(|(name, bytes)| (name.clone(), bytes.len())).collect();
+    let head = serde_json::to_string(&Head { run, hash: hash_of_parts(saved), parts })
+        .map_err(|error| Error::run("writing a checkpoint", error.to_string()))?;
+    write_file(&path, |writer| {
+        let mut parts = saved.0.iter();
+        let written = writeln!(writer, "{head}")
+            .and_then(|()| parts.try_for_each(|(_, bytes)| writer.write_all(bytes)));
+        written.map_err(Error::io("write", &path))
+    })?;
+    let ResumePoint::Pass(now) = place else { return Ok(()) };
+    for (pass, is_part, path) in states(folder) {
+        if pass + 1 < now || is_part && pass < now {
+            // One that cannot be removed does no harm.
+            let _ = fs::remove_file(path);
+        }
+    }
+    Ok(())
+}
+
+/// The checkpoints in a folder: number of the pass, whether it is of a part, and path.
+fn states(folder: &Path) -> Vec<(u32, bool, PathBuf)> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let state = |entry: fs::DirEntry| {
+        let name = entry.file_name().into_string().ok()?;
+        let stem = name.strip_suffix(ENDING)?;
+        let (number, is_part) = stem.strip_suffix("-part").map_or((stem, false), |number| (number, true));
+        Some((number.parse().ok()?, is_part, entry.path()))
+    };
+    entries.filter_map(state).collect()
+}
+
+fn read(path: &Path, run: u64) -> Result<Saved> {
+    let bytes = read_bytes(path, |_| START_AGAIN.to_owned())?;
+    let saved = || -> Option<Saved> {
+        let end = bytes.iter().position(|byte| *byte == b'\n')?;
+        let head: Head = serde_json::from_slice(&bytes[..end]).ok()?;
+        let mut rest = &bytes[end + 1..];
+        let mut saved = Saved::default();
+        for (name, length) in head.parts {
+            let (part, after) = rest.split_at_checked(length)?;
+            saved.0.push((name, part.to_vec()));
+            rest = after;
+        }
+        (head.run == run && rest.is_empty() && head.hash == hash_of_parts(&saved)).then_some(saved)
+    };
+    saved().ok_or_else(|| Error::input(path, "", "the checkpoint is damaged", START_AGAIN))
+}
+
+/// The last place at which the run in a folder can be taken up, its very beginning if it has kept nothing
+/// yet: the passes that are done, the state at the beginning of the next, unless that is the first, and the
+/// state at the beginning of a part of it.
+///
+/// # Errors
+/// [`Error::Input`] if none of several checkpoints can be used; a note tells of those that cannot.
+fn find(folder: &Path, run: u64, progress: &dyn Progress) -> Result<(u32, Option<Saved>, Option<Saved>)> {
+    let passes: BTreeSet<u32> = states(folder).into_iter().map(|(pass, ..)| pass).collect();
+    let mut first = None;
+    let mut read = |place: ResumePoint| {
+        let path = path_of(folder, place);
+        let tell = |error| {
+            progress.note(&format!("{error}; the one before is taken"));
+            first.get_or_insert(error);
+        };
+        if is_there(&path) { read(&path, run).map_err(tell).ok() } else { None }
+    };
+    for pass in passes.into_iter().rev() {
+        let part = read(ResumePoint::Part(pass));
+        // The beginning of the first pass needs no state.
+        if pass == 0 {
+            return Ok((0, None, part));
+        }
+        if let Some(state) = read(ResumePoint::Pass(pass)) {
+            return Ok((pass, Some(state), part));
+        }
+    }
+    first.map_or(Ok((0, None, None)), Err)
+}
+
+/// Whether the run in a folder has come so far as to keep checkpoints.
+pub(super) fn are_kept(out: &Path) -> bool {
+    out.join(FOLDER).is_dir()
+}
+
+/// Has the session's run keep checkpoints; one that is `resumed` takes up where it was. Returns how many passes are done.
+///
+/// # Errors
+/// [`Error::Input`] if no checkpoint can be used; [`Error::Run`] if the state is of another world.
+pub(super) fn take_up(
+    session: &mut Session,
+    begun: &RunStart,
+    resumed: bool,
+    every: Duration,
+) -> Result<usize> {
+    let (run, folder) = (begun.mark(), session.out.join(FOLDER));
+    let (pass, state, part) = if resumed { find(&folder, run, session.progress)? } else { (0, None, None) };
+    if resumed {
+        let words = match session.scene.passes.get(pass as usize) {
+            None => "all passes are done".to_owned(),
+            Some(next) if part.is_some() => format!("the run goes on in pass {}", next.name()),
+            Some(_) if pass == 0 => "there is no checkpoint yet: the run begins again".to_owned(),
+            Some(next) => format!("the run goes on with pass {}", next.name()),
+        };
+        session.progress.note(&words);
+    }
+    fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
+    let write = move |place: ResumePoint, saved: &Saved| write(&folder, run, place, saved);
+    session.pipeline.world.insert_resource(Checkpoints::new(Box::new(write), every, pass, part));
+    if let Some(state) = state {
+        restore(session, state)?;
+    }
+    Ok(pass as usize)
+}
+
+/// Removes the checkpoints of an earlier run, or of one that is done, and nothing else.
+pub(super) fn clear(out: &Path) -> Result<()> {
+    let folder = out.join(FOLDER);
+    check_folder(out)?;
+    let states = states(&folder).into_iter().map(|(.., path)| path);
+    for path in states {
+        fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+    }
+    clear_scratch(&folder)?;
+    // It stays if it has something else.
+    let _ = fs::remove_dir(&folder);
+    Ok(())
+}
+
+/// Checks that checkpoints are not written somewhere else.
+pub(super) fn check_folder(out: &Path) -> Result<()> {
+    let folder = out.join(FOLDER);
+    if folder.symlink_metadata().is_ok_and(|found| found.is_symlink()) {
+        let problem =
+            format!("{} is a symbolic link: checkpoints would be written elsewhere", folder.display());
+        return Err(Error::usage(problem, "Remove the link, or choose another folder with --out."));
+    }
+    Ok(())
+}
+
+/// The state of a session beside its world.
+#[derive(Serialize, Deserialize)]
+struct SessionState {
+    kept: PassState,
+    /// In RON, which has numbers that are not finite.
+    scores: String,
+    /// The surface that was found, if one was, and the width of its texture.
+    surface: Option<(Mesh, u32)>,
+}
+
+/// Keeps the state of the session after so many passes, or without a number at the beginning of another part of the pass
+/// at work.
+pub(crate) fn keep(session: &mut Session, done: Option<usize>) -> Result<()> {
+    let world = &mut session.pipeline.world;
+    if !checkpoint::are_kept(world) {
+        return Ok(());
+    }
+    let mut saved = checkpoint::save(world, if done.is_some() { Span::Run } else { Span::Pass })?;
+    let unwritten = |error: ron::Error| Error::run("writing a checkpoint", error.to_string());
+    let surface = &session.surface;
+    let state = SessionState {
+        kept: session.kept.clone(),
+        scores: ron::to_string(&session.scores).map_err(unwritten)?,
+        surface: session.surface_found.then(|| (surface.mesh().clone(), surface.atlas().width)),
+    };
+    saved.add(SESSION, &state)?;
+    match done {
+        Some(done) => keep_pass(world, done as u32, &saved),
+        None => keep_part(world, &saved),
+    }
+}
+
+/// Takes up the session at the part of the pass at work that a resumed run goes on from; returns whether there is one.
+pub(crate) fn resume_part(session: &mut Session) -> Result<bool> {
+    let part = take_part(&mut session.pipeline.world);
+    part.map_or(Ok(false), |part| restore(session, part).map(|()| true))
+}
+
+fn restore(session: &mut Session, mut saved: Saved) -> Result<()> {
+    let SessionState { kept, scores, surface } = saved.take(SESSION)?;
+    let unread = |error: ron::error::SpannedError| Error::run("reading a checkpoint", error.to_string());
+    session.scores = ron::from_str::<Scores>(&scores).map_err(unread)?;
+    let world = &mut session.pipeline.world;
+    if let Some((mesh, width)) = surface {
+        let surface = Arc::new(Surface::new(mesh, width)?);
+        world.insert_resource(Scenery(surface.clone()));
+        insert_known_along(world, &session.scene.material.sheen, &surface)?;
+        replace_texels(world, &vec![Vec3::ZERO; surface.atlas().position.len()]);
+        (session.surface, session.surface_found) = (surface, true);
+    }
+    session.kept = kept;
+    if session.kept.several {
+        let (lobes, blend) = several_materials();
+        replace_materials(world, &lobes, blend)?;
+    }
+    checkpoint::load(world, &saved)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pass::run::progress::Silent;
+
+    const RUN: u64 = 7;
+
+    fn folder(out: &tempfile::TempDir) -> PathBuf {
+        out.path().join(FOLDER)
+    }
+
+    /// A checkpoint that says where it is of.
+    fn saved(text: &str) -> Saved {
+        Saved(vec![(SESSION.into(), vec![0, 255, b'\n']), ("place".into(), text.into())])
+    }
+
+    /// Checkpoints of a run that was killed in a later part of its third pass.
+    fn killed() -> tempfile::TempDir {
+        let out = tempfile::tempdir().unwrap();
+        let places = [
+            (ResumePoint::Part(0), "0-part"),
+            (ResumePoint::Pass(1), "1"),
+            (ResumePoint::Pass(2), "2"),
+            (ResumePoint::Part(2), "2-part before"),
+            (ResumePoint::Part(2), "2-part"),
+        ];
+        for (place, text) in places {
+            write(&folder(&out), RUN, place, &saved(text)).unwrap();
+        }
+        out
+    }
+
+    fn names(out: &tempfile::TempDir) -> Vec<String> {
+        let name =
+            |(.., path): (u32, bool, PathBuf)| path.file_name().unwrap().to_string_lossy().into_owned();
+        let mut names: Vec<String> = states(&folder(out)).into_iter().map(name).collect();
+        names.sort();
+        names
+    }
+
+    /// The pass that a run goes on with, and the states of its beginning and of a part of it.
+    fn found(out: &tempfile::TempDir) -> (u32, Option<Saved>, Option<Saved>) {
+        find(&folder(out), RUN, &Silent).unwrap()
+    }
+
+    #[test]
+    fn the_last_two_passes_and_the_last_part_are_kept() {
+        let out = killed();
+        assert_eq!(names(&out), ["1.state", "2-part.state", "2.state"]);
+        assert_eq!(found(&out), (2, Some(saved("2")), Some(saved("2-part"))));
+        write(&folder(&out), RUN, ResumePoint::Pass(3), &saved("3")).unwrap();
+        assert_eq!(names(&out), ["2.state", "3.state"]);
+        assert_eq!(found(&out), (3, Some(saved("3")), None));
+        let out = tempfile::tempdir().unwrap();
+        assert_eq!(found(&out), (0, None, None));
+        write(&folder(&out), RUN, ResumePoint::Part(0), &saved("0-part")).unwrap();
+        assert_eq!(found(&out), (0, None, Some(saved("0-part"))));
+        std::fs::write(folder(&out).join("0-part.state"), "x").unwrap();
+        assert_eq!(found(&out), (0, None, None));
+    }
+
+    #[test]
+    fn instead_of_a_damaged_checkpoint_the_one_before_is_taken() {
+        let out = killed();
+        let file = |name: &str| folder(&out).join(name);
+        let part = file("2-part.state");
+        let whole = std::fs::read(&part).unwrap();
+        for at in 0..whole.len() {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 1;
+            for damaged in [&bytes[..], &whole[..at]] {
+                std::fs::write(&part, damaged).unwrap();
+                assert_eq!(found(&out), (2, Some(saved("2")), None), "byte {at}");
+            }
+        }
+        std::fs::write(&part, &whole).unwrap();
+        // A part is worth nothing without the beginning of its pass.
+        std::fs::write(file("2.state"), b"x").unwrap();
+        assert_eq!(found(&out), (1, Some(saved("1")), None));
+        std::fs::remove_file(file("1.state")).unwrap();
+        let error = find(&folder(&out), RUN, &Silent).err().unwrap();
+        assert!(error.exit_code() == 2 && error.help().is_some(), "{error}");
+    }
+
+    #[test]
+    fn checkpoints_of_another_run_are_none() {
+        let out = killed();
+        let error = find(&folder(&out), RUN + 1, &Silent).err().unwrap();
+        assert!(error.to_string().contains("damaged"), "{error}");
+        std::fs::write(folder(&out).join("3-x.state"), "").unwrap();
+        std::fs::write(folder(&out).join("9-9.state"), "").unwrap();
+        assert_eq!(found(&out).0, 2);
+    }
+
+    #[test]
+    fn a_hash_is_the_same_in_every_build() {
+        assert_eq!(hash_of(&6usize), 0xaf63_ab4c_8601_9949);
+        assert_eq!(hash_on(hash_on(NOTHING, b"foo"), b"bar"), 0x8594_4171_f739_67e8);
+    }
+
+    #[test]
+    fn clearing_removes_checkpoints_and_nothing_else() {
+        let out = killed();
+        std::fs::write(folder(&out).join(".lobelia-abc.part.state"), "half").unwrap();
+        clear(out.path()).unwrap();
+        assert!(!out.path().join(FOLDER).exists());
+        clear(out.path()).unwrap();
+        std::fs::create_dir(out.path().join(FOLDER)).unwrap();
+        std::fs::write(out.path().join(FOLDER).join("mine"), "x").unwrap();
+        clear(out.path()).unwrap();
+        assert!(out.path().join(FOLDER).join("mine").exists());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_folder_that_leads_elsewhere_is_refused() {
+        let out = tempfile::tempdir().unwrap();
+        std::os::unix::fs::symlink("/", out.path().join(FOLDER)).unwrap();
+        assert_eq!(clear(out.path()).unwrap_err().exit_code(), 2);
+    }
+
+    fn begun() -> RunStart {
+        let inputs = ["a.png", "b.png"].map(|file| (file.to_owned(), "1".to_owned())).into();
+        RunStart { version: "1".into(), threads: 2, inputs, ..RunStart::default() }
+    }
+
+    #[test]
+    fn other_data_are_named() {
+        let refused = |change: fn(&mut RunStart)| {
+            let mut now = begun();
+            change(&mut now);
+            let error = begun().check_data(&now, &Silent).unwrap_err();
+            assert!(error.exit_code() == 2 && error.help().unwrap().contains("--force"), "{error}");
+            error.to_string()
+        };
+        assert!(refused(|now| now.inputs.get_mut("b.png").unwrap().push('3')).starts_with("b.png"));
+        assert!(refused(|now| _ = now.inputs.remove("a.png")).starts_with("a.png"));
+        assert!(refused(|now| _ = now.inputs.insert("c.png".into(), "1".into())).starts_with("c.png"));
+        assert!(refused(|now| now.within_memory.push('9')).contains("memory"));
+        assert!(refused(|now| now.views.push('4')).contains("cameras"));
+        // Another number of threads changes bits alone.
+        begun().check_data(&RunStart { threads: 1, ..begun() }, &Silent).unwrap();
+    }
+}
