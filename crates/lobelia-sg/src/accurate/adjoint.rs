@@ -6,7 +6,6 @@ use super::narrow::{MOST_SGS, is_narrow, parts};
 use super::pair::{Pair, Placements, place_sgs};
 use super::placement::{GGX, LocalLight, Placement, SG, Tail, place};
 use super::point::{NdfTerms, PairAdjoint, PointSums, PointTerms};
-use super::rule::across;
 use super::smooth::{Ring, pair_smoothness, pull_back_smooth};
 use super::specular::{Node, PointTermsView, node};
 use crate::real::{Real, Vec3Of, add, dot, scale};
@@ -142,17 +141,16 @@ fn add_nodes<F: Real, const ALONG: usize, const ACROSS: usize, const TAIL: Tail>
 ) -> PartSums<F> {
     let zero = light.sharpness.zero();
     let mut part = PartSums { powered: zero, plain: zero, drop: zero };
-    unroll!(i < ALONG, {
-        let row = placement.row(ALONG, i);
-        unroll!(j < ACROSS, {
-            let (w, weight) = across(ACROSS, j);
-            let node = node::<F, TAIL>(view, ndf, light, placement, &row, w, weight);
+    let nodes = placement.nodes::<ALONG, ACROSS>();
+    for row in &nodes.rows {
+        for column in &nodes.columns {
+            let node = node::<F, TAIL>(view, ndf, light, placement, row, *column);
             let value = node.over_cosine * node.cosine;
             part.plain += value;
             part.powered = value.mul_add(node.fresnel, part.powered);
             sums.add(&node, weights, view.k, &mut part.drop);
-        });
-    });
+        }
+    }
     part
 }
 

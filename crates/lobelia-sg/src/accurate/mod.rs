@@ -26,19 +26,6 @@
 //! the derivative of the sum with fixed nodes, and the derivative of the integral up to the accuracy of the rule. The motion of the
 //! nodes with the inputs is left out, because the value of an exact rule does not depend on it. The diffuse adjoint is exact.
 
-/// `for index in 0..count` for counts up to 4, unrolled so that the constants of every node are known at compile time.
-macro_rules! unroll {
-    ($index:ident < $count:expr, $body:block) => {
-        unroll!(@ $index, $count, $body, 0 1 2 3)
-    };
-    (@ $index:ident, $count:expr, $body:block, $($i:literal)*) => {
-        $(if $i < $count {
-            let $index: usize = $i;
-            $body
-        })*
-    };
-}
-
 mod adjoint;
 pub mod diffuse;
 pub mod ggx;

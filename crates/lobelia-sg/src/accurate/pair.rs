@@ -6,7 +6,6 @@ use super::ggx::prepare_ggx_point;
 use super::narrow::{MOST_SGS, is_narrow, parts};
 use super::placement::{GGX, LocalLight, Placement, SG, Tail, place, place_two};
 use super::point::{PointTerms, prepare_point};
-use super::rule::across;
 use super::smooth::{Ring, pair_smoothness, smooth_light};
 use super::specular::{PointTermsView, node};
 use crate::brdf::{Facets, Ndf};
@@ -111,16 +110,15 @@ pub(super) fn sum_nodes<
     for (m, placement) in parts::<NDF, TAIL>().zip(placed) {
         let ndf = &point.ndf[m];
         let (mut powered, mut plain) = (light.sharpness.zero(), light.sharpness.zero());
-        unroll!(i < ALONG, {
-            let row = placement.row(ALONG, i);
-            unroll!(j < ACROSS, {
-                let (w, weight) = across(ACROSS, j);
-                let node = node::<F, TAIL>(&view, ndf, light, placement, &row, w, weight);
+        let nodes = placement.nodes::<ALONG, ACROSS>();
+        for row in &nodes.rows {
+            for column in &nodes.columns {
+                let node = node::<F, TAIL>(&view, ndf, light, placement, row, *column);
                 let value = node.over_cosine * node.cosine;
                 plain += value;
                 powered = value.mul_add(node.fresnel, powered);
-            });
-        });
+            }
+        }
         constant = powered.mul_add(ndf.scale, constant);
         total = plain.mul_add(ndf.scale, total);
     }

@@ -11,18 +11,40 @@
 use super::diffuse::fading_exp;
 use super::placement::{LocalLight, Placement, SG, Tail, Vec2Of, dot2, spread};
 use super::point::{NdfTerms, PointTerms};
+use super::rule::across;
 use crate::real::{Real, Vec3Of, sub};
 
 /// A row of nodes: those at the same position along the clipped direction.
+#[derive(Clone, Copy)]
 pub(super) struct Row<F> {
     base: Vec2Of<F>,
     exponent: F,
     weight: F,
 }
 
+/// Nodes in rows and columns: a loop over them is compiled once, and its constants lie ready.
+pub(super) struct Nodes<F, const ALONG: usize, const ACROSS: usize> {
+    pub(super) rows: [Row<F>; ALONG],
+    /// Position in standard deviations across the clipped direction, and weight in the row.
+    pub(super) columns: [[F; 2]; ACROSS],
+}
+
 impl<F: Real> Placement<F> {
     #[inline(always)]
-    pub(super) fn row(&self, count: usize, index: usize) -> Row<F> {
+    pub(super) fn nodes<const ALONG: usize, const ACROSS: usize>(&self) -> Nodes<F, ALONG, ACROSS> {
+        let mut nodes = Nodes { rows: [self.row(ALONG, 0); ALONG], columns: [[self.weight; 2]; ACROSS] };
+        for i in 1..ALONG {
+            nodes.rows[i] = self.row(ALONG, i);
+        }
+        for j in 0..ACROSS {
+            let (w, weight) = across(ACROSS, j);
+            nodes.columns[j] = [self.weight.lit(w), self.weight.lit(weight)];
+        }
+        nodes
+    }
+
+    #[inline(always)]
+    fn row(&self, count: usize, index: usize) -> Row<F> {
         let clipped = &self.clipped;
         let node = clipped.along(count, index);
         let along = clipped.width * node.offset;
@@ -92,7 +114,7 @@ impl<F: Real> Mirrored<F> {
     }
 }
 
-/// The node at `w` standard deviations across the clipped direction, with this weight in its row.
+/// The node in this row and column of [`Nodes`].
 #[inline(always)]
 pub(super) fn node<F: Real, const TAIL: Tail>(
     point: &PointTermsView<F>,
@@ -100,10 +122,9 @@ pub(super) fn node<F: Real, const TAIL: Tail>(
     light: &LocalLight<F>,
     placement: &Placement<F>,
     row: &Row<F>,
-    w: f64,
-    weight: f64,
+    [w, weight]: [F; 2],
 ) -> Node<F> {
-    let x = [row.base[0] + placement.across[0].times(w), row.base[1] + placement.across[1].times(w)];
+    let x = [placement.across[0].mul_add(w, row.base[0]), placement.across[1].mul_add(w, row.base[1])];
     let Mirrored { drop, up, half, view_half, direction } = Mirrored::new(point.view, x);
     let offset = sub(direction, light.axis);
     let half_square =
@@ -119,7 +140,7 @@ pub(super) fn node<F: Real, const TAIL: Tail>(
         [drop * (-drop).plus(2.0), drop, up],
         cosine.mul_add(point.one_minus_k, point.k),
     );
-    let over_cosine = fading_exp(exponent) * view_half * distribution * row.weight.times(weight);
+    let over_cosine = fading_exp(exponent) * view_half * distribution * (row.weight * weight);
     let fresnel = fresnel(view_half);
     Node { offset, direction, half, half_drop, toward, half_square, cosine, shadowing, over_cosine, fresnel }
 }
