@@ -122,14 +122,8 @@ impl Reconstruction<'_> {
             matching => matching == Matching::Sequential,
         };
         let [command, option, value] = if is_sequence { SEQUENTIAL } else { EXHAUSTIVE };
-        let matching = words(
-            command,
-            &[
-                ("--database_path", &work.path("database.db")),
-                (self.colmap.use_gpu[1], &gpu),
-                (option, &value),
-            ],
-        );
+        let database = ("--database_path", &work.path("database.db") as _);
+        let matching = words(command, &[database, (self.colmap.use_gpu[1], &gpu), (option, &value)]);
         work.step("matching", &format!("{matching:?}"), |work| {
             self.colmap(work, "matching", 100, &matching)
         })?;
@@ -149,18 +143,14 @@ impl Reconstruction<'_> {
             if refines { self.refine(work, &folder) } else { Ok(()) }
         })?;
         work.step("undistortion", &options.keep_distortion.to_string(), |work| {
-            if options.keep_distortion {
-                self.copy(work, &model, &names)
-            } else {
-                self.undistort(work, &model, &names)
-            }
+            let make = if options.keep_distortion { Self::copy } else { Self::undistort };
+            make(self, work, &model, &names)
         })?;
-        let (mut error, analysis) = (None, words("model_analyzer", &[("--path", &model)]));
+        let (mut error, analysis) = (None::<f64>, words("model_analyzer", &[("--path", &model)]));
         // Without this number, all is there.
         let _ = self.colmap.program.run(&analysis, &work.log("analysis"), |line| {
-            let told =
-                line.split_once("Mean reprojection error: ").map(|(_, told)| told.trim_end_matches("px"));
-            error = told.and_then(|told| told.parse::<f64>().ok()).or(error);
+            let told = line.split_once("Mean reprojection error: ");
+            error = told.and_then(|(_, told)| told.trim_end_matches("px").parse().ok()).or(error);
         });
         check_interrupted()?;
         let left_out = photographs.iter().map(|photograph| photograph.name.clone());
@@ -216,16 +206,10 @@ impl Reconstruction<'_> {
             let center = ("--BundleAdjustment.refine_principal_point", &"1" as _);
             run(&words("bundle_adjuster", &[("--input_path", &from), ("--output_path", &refined), center]))
         };
-        let triangulation = over_photographs(
-            work,
-            "point_triangulator",
-            &[
-                ("--input_path", &refined),
-                ("--output_path", &points),
-                ("--clear_points", &"1"),
-                ("--Mapper.filter_max_reproj_error", &self.largest_error()),
-            ],
-        );
+        let error = ("--Mapper.filter_max_reproj_error", &self.largest_error() as _);
+        let (input, output) = (("--input_path", &refined as _), ("--output_path", &points as _));
+        let clear = ("--clear_points", &"1" as _);
+        let triangulation = over_photographs(work, "point_triangulator", &[input, output, clear, error]);
         let bar = work.progress.bar("refinement", ROUNDS);
         adjust(model)?;
         for _ in 0..ROUNDS {
@@ -266,10 +250,8 @@ impl Reconstruction<'_> {
             work.progress.note(note);
         }
         let run = |name: &str, images: &Path, output: &Path| {
-            let words = words(
-                "image_undistorter",
-                &[("--image_path", &images), ("--input_path", &model), ("--output_path", &output)],
-            );
+            let (photographs, model) = (("--image_path", &images as _), ("--input_path", &model as _));
+            let words = words("image_undistorter", &[photographs, model, ("--output_path", &output)]);
             self.colmap(work, name, names.len(), &words)
         };
         let data = work.emptied("data")?;
@@ -300,13 +282,8 @@ impl Reconstruction<'_> {
         run("undistortion of masks", &bent, &straight)?;
         for name in names {
             let mut mask = read_mask(&straight.join("images").join(name))?;
-            for value in mask.iter_mut() {
-                *value = match *value {
-                    dark if dark <= MASK_NOISE => 0,
-                    light if light >= 255 - MASK_NOISE => 255,
-                    edge => edge,
-                };
-            }
+            mask.iter_mut().filter(|value| **value <= MASK_NOISE).for_each(|value| *value = 0);
+            mask.iter_mut().filter(|value| **value >= 255 - MASK_NOISE).for_each(|value| *value = 255);
             write_gray8(data.join("masks").join(format!("{name}.png")), &mask)?;
         }
         Ok(())

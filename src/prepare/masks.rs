@@ -25,6 +25,10 @@ pub enum MaskSource {
     Folder(PathBuf),
     /// A command per photograph, with `{in}` for the photograph and `{out}` for the mask (`.png`) that it writes.
     Command(String),
+    /// The photographs' alpha.
+    Alpha,
+    /// `rembg`, which is this program.
+    Rembg(PathBuf),
 }
 
 /// The model of rembg: the weights of its default one are not free for all uses.
@@ -38,39 +42,23 @@ impl MaskSource {
     pub fn check(&self) -> Result<()> {
         let Self::Command(command) = self else { return Ok(()) };
         let words = shlex::split(command).unwrap_or_default();
-        let problem = match words.split_first() {
-            None => "is no command line".to_owned(),
-            Some((_, words)) => {
-                let is_missing = |mark: &&str| !words.iter().any(|word| word.contains(mark));
-                let Some(mark) = ["{in}", "{out}"].into_iter().find(is_missing) else { return Ok(()) };
-                format!("has no {mark}")
-            }
+        let is_missing = |mark: &&str| !words[1..].iter().any(|word| word.contains(mark));
+        let problem = match ["{in}", "{out}"].into_iter().find(|mark| words.is_empty() || is_missing(mark)) {
+            None => return Ok(()),
+            Some(_) if words.is_empty() => "is no command line".to_owned(),
+            Some(mark) => format!("has no {mark}"),
         };
         Err(Error::usage(format!("the mask command `{command}` {problem}"), COMMAND_HELP))
     }
-}
 
-/// Maker of the masks.
-#[derive(Debug)]
-pub(super) enum MaskMaker {
-    Alpha,
-    Folder(PathBuf),
-    Command(String),
-    Rembg(PathBuf),
-}
-
-impl MaskMaker {
-    /// Returns the maker of these photographs' masks, if there are to be any; else a note says how
-    /// there would be.
-    pub fn of(
+    /// The maker of these photographs' masks, which is not `Auto`, if there are to be any; else a note says how there would be.
+    pub(super) fn decided(
         options: &PrepareOptions,
         photographs: &[PhotographFile],
         progress: &dyn Progress,
     ) -> Option<Self> {
-        match &options.masks {
-            MaskSource::Folder(folder) => return Some(Self::Folder(folder.clone())),
-            MaskSource::Command(command) => return Some(Self::Command(command.clone())),
-            MaskSource::Auto => {}
+        if options.masks != Self::Auto {
+            return Some(options.masks.clone());
         }
         let with_alpha = photographs.iter().filter(|photograph| photograph.has_alpha).count();
         if with_alpha == photographs.len() {
@@ -94,7 +82,7 @@ impl MaskMaker {
     ///
     /// # Errors
     /// [`Error::Input`] that names the photograph if its mask is missing, of another size, or all black or white; errors of the command.
-    pub fn write(&self, photographs: &[PhotographFile], work: &Work) -> Result<()> {
+    pub(super) fn write(&self, photographs: &[PhotographFile], work: &Work) -> Result<()> {
         let images = work.path("photographs");
         let bar = work.progress.bar("masks", photographs.len() as u64);
         let folder = match self {
@@ -108,7 +96,7 @@ impl MaskMaker {
                 rembg.run(&words, &work.log("masks"), |_| ())?;
                 Some(masks_of(&masks)?)
             }
-            Self::Alpha | Self::Command(_) => None,
+            Self::Auto | Self::Alpha | Self::Command(_) => None,
         };
         for photograph in photographs {
             check_interrupted()?;
@@ -121,8 +109,7 @@ impl MaskMaker {
                 }
                 (_, Some(folder)) => {
                     let file = find_mask(folder, &file_name(&photograph.source))?;
-                    let mask = as_stored(mask_of_file(&file)?, photograph);
-                    (file, mask)
+                    (file.clone(), as_stored(mask_of_file(&file)?, photograph))
                 }
                 _ => {
                     let loaded = read_image(&image, Gamma::Linear, AsStored)?;
@@ -144,9 +131,10 @@ impl MaskMaker {
 
 /// Whether a program, a name in a folder of `path` or a path of its own, is there.
 fn is_installed(program: &Path, path: &OsStr) -> bool {
-    let is_name = program.components().count() == 1;
-    let in_folders = || std::env::split_paths(path).any(|folder| folder.join(program).is_file());
-    if is_name { in_folders() } else { program.is_file() }
+    match program.components().count() {
+        1 => std::env::split_paths(path).any(|folder| folder.join(program).is_file()),
+        _ => program.is_file(),
+    }
 }
 
 fn masks_of(folder: &Path) -> Result<StemIndex> {
@@ -164,22 +152,18 @@ fn check(mask: &GrayImage, photograph: &PhotographFile, file: &Path) -> Result<(
     }
     let full = mask.iter().filter(|value| **value >= 224).count();
     let between = mask.iter().filter(|value| (32..224).contains(*value)).count();
-    if between > full && between > mask.len() / 100 {
-        return wrong(
-            format!("the mask of {name} is mostly gray, as a photograph is"),
-            "The object is white and all else black. A mask command writes the mask, or a cutout with alpha, to {out}.",
-        );
-    }
-    if mask.iter().all(|value| *value >= 128) {
-        let problem = format!("the mask of {name} is white everywhere: nothing is masked out");
-        return wrong(problem, "The object is white and all else black.");
-    }
-    if mask.iter().all(|value| *value < 128) {
-        let problem = format!("the mask of {name} is black everywhere: there is no object");
-        let help = "The object is white and all else black. Remove a photograph that does not show it.";
-        return wrong(problem, help);
-    }
-    Ok(())
+    let (problem, more) = if between > full && between > mask.len() / 100 {
+        let more = " A mask command writes the mask, or a cutout with alpha, to {out}.";
+        ("mostly gray, as a photograph is", more)
+    } else if mask.iter().all(|value| *value >= 128) {
+        ("white everywhere: nothing is masked out", "")
+    } else if mask.iter().all(|value| *value < 128) {
+        ("black everywhere: there is no object", " Remove a photograph that does not show it.")
+    } else {
+        return Ok(());
+    };
+    let help = format!("The object is white and all else black.{more}");
+    wrong(format!("the mask of {name} is {problem}"), &help)
 }
 
 /// A mask, or a cutout with alpha, as 8 bits.
@@ -290,7 +274,8 @@ mod tests {
         fn masks(&self, source: &MaskSource) -> Result<Vec<GrayImage>> {
             source.check()?;
             let options = PrepareOptions { masks: source.clone(), ..PrepareOptions::new("", "") };
-            let maker = MaskMaker::of(&options, &self.photographs, &Silent).unwrap_or(MaskMaker::Alpha);
+            let maker =
+                MaskSource::decided(&options, &self.photographs, &Silent).unwrap_or(MaskSource::Alpha);
             let work = Work::claim(&self.path("out"), &Silent).unwrap();
             place(&self.photographs, &work.emptied("photographs").unwrap()).unwrap();
             maker.write(&self.photographs, &work)?;

@@ -66,15 +66,14 @@ pub(super) fn list(folder: &Path, progress: &dyn Progress) -> Result<Vec<Photogr
         let path = entry.map_err(Error::io("read", folder))?.path();
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
         let is_hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        let is_known = || IMAGE_EXTENSIONS.iter().chain(&VIDEOS).any(|known| extension == *known);
         if is_hidden || path.is_dir() {
             continue;
         }
         // What is called as a photograph and is no file, or may not be read, is refused where it is opened.
         if ["jpg", "jpeg", "png"].contains(&extension.as_str()) {
             files.push(path);
-        } else if is_unread_name(&path)
-            || IMAGE_EXTENSIONS.iter().chain(&VIDEOS).any(|known| extension == *known)
-        {
+        } else if is_unread_name(&path) || is_known() {
             *others.entry(extension).or_default() += 1;
         }
     }
@@ -89,9 +88,7 @@ pub(super) fn list(folder: &Path, progress: &dyn Progress) -> Result<Vec<Photogr
         return Err(Error::input(twice, "", problem, "Rename one of them, or remove it."));
     }
     // COLMAP's cameras per folder are one of each group of equal size and focal length.
-    let groups: BTreeSet<_> =
-        photographs.iter().map(|photograph| (photograph.size, photograph.focal)).collect();
-    if groups.len() > 1 {
+    if photographs.iter().any(|p| (p.size, p.focal) != (photographs[0].size, photographs[0].focal)) {
         for PhotographFile { name, size: [width, height], focal, .. } in &mut photographs {
             let focal = focal.map_or_else(String::new, |f| format!("_{}mm", f64::from(f) / 100.0));
             *name = format!("{width}x{height}{focal}/{name}");
@@ -188,11 +185,13 @@ pub(super) fn check_pixels(photographs: &[PhotographFile], progress: &dyn Progre
         |p: &PhotographFile| u64::from(p.size[0]) * u64::from(p.size[1]) * if p.is_deep { 8 } else { 4 };
     let largest = photographs.iter().map(bytes).max().unwrap_or_default().max(1);
     let at_once = (MOST_DECODED / largest).clamp(1, rayon::current_num_threads() as u64) as usize;
-    let decoded = |photograph: &PhotographFile| match decode_samples(&photograph.source, AsStored) {
-        Err(Error::Input { path, place, problem, .. }) => {
-            Err(Error::input(path, place, problem, DAMAGED_HELP))
-        }
-        decoded => decoded.map(|_| ()),
+    let decoded = |photograph: &PhotographFile| {
+        decode_samples(&photograph.source, AsStored).map(drop).map_err(|mut error| {
+            if let Error::Input { help, .. } = &mut error {
+                DAMAGED_HELP.clone_into(help);
+            }
+            error
+        })
     };
     for group in photographs.chunks(at_once) {
         check_interrupted()?;

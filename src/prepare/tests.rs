@@ -1,12 +1,11 @@
 //! The whole of `prepare`, with a script in place of COLMAP; and scripts and photographs for the tests of its parts.
 
 use super::*;
-use crate::pass::progress::{Bar, Silent};
+use crate::pass::progress::{RecordedMessages, Silent};
 use crate::scene::{LoadOptions, load};
 use image::{Rgb, RgbImage};
 use lobelia_geometry::view::Split;
 use lobelia_io::dataset::{DatasetOptions, read_dataset};
-use std::cell::RefCell;
 use std::fs;
 use std::io::Write as _;
 use std::os::unix::fs::OpenOptionsExt as _;
@@ -78,22 +77,6 @@ case $1 in
 esac
 "#;
 
-/// Notes that are told.
-#[derive(Default)]
-struct Notes(RefCell<String>);
-
-impl Progress for Notes {
-    fn note(&self, text: &str) {
-        *self.0.borrow_mut() += &format!("{text}\n");
-    }
-
-    fn print(&self, _: &str) {}
-
-    fn bar(&self, _: &str, _: u64) -> Box<dyn Bar> {
-        Box::new(Silent)
-    }
-}
-
 struct Capture {
     folder: TempDir,
 }
@@ -138,19 +121,14 @@ impl Capture {
         self.colmap("", "");
     }
 
-    /// A binary model with these photographs and two points.
-    fn model(&self, name: &str, photographs: &[&str]) {
-        write_model(&self.path(name), photographs);
-    }
-
     /// Prepares with changed options, and returns the notes too.
     fn attempt(&self, change: impl FnOnce(&mut PrepareOptions)) -> (Result<Prepared>, String) {
         let mut options = PrepareOptions::new(self.path("photos"), self.path("out"));
         options.masks = MaskSource::Folder(self.path("masks"));
         (options.colmap, options.rembg) = (self.path("colmap"), self.path("rembg"));
         change(&mut options);
-        let notes = Notes::default();
-        (prepare(&options, &notes), notes.0.into_inner())
+        let notes = RecordedMessages::new(&Silent);
+        (prepare(&options, &notes), notes.take().join("\n"))
     }
 
     #[track_caller]
@@ -167,6 +145,32 @@ impl Capture {
         words.iter().for_each(|word| assert!(text.contains(word), "no {word:?} in {text}"));
     }
 
+    /// A binary model with these photographs and two points.
+    fn model(&self, name: &str, photographs: &[&str]) {
+        let model = self.path(name);
+        fs::create_dir_all(&model).unwrap();
+        let words = |values: &[u64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+        let numbers =
+            |values: &[f64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+        // Camera 1 of model 1, PINHOLE.
+        let ids = [1u32, 1].map(u32::to_le_bytes).concat();
+        let camera = [words(&[1]), ids, words(&[48, 36]), numbers(&[60.0, 60.0, 24.0, 18.0])];
+        fs::write(model.join("cameras.bin"), camera.concat()).unwrap();
+        let mut images = words(&[photographs.len() as u64]);
+        for (i, photograph) in photographs.iter().enumerate() {
+            images.extend((i as u32).to_le_bytes());
+            images.extend(numbers(&[1.0, 0.0, 0.0, 0.0, i as f64, 0.0, 4.0]));
+            images.extend(1u32.to_le_bytes());
+            images.extend(format!("{photograph}\0").bytes());
+            images.extend(words(&[0]));
+        }
+        fs::write(model.join("images.bin"), images).unwrap();
+        let point = |error: f64| {
+            [words(&[1]), numbers(&[0.0; 3]), vec![0; 3], numbers(&[error]), words(&[0])].concat()
+        };
+        fs::write(model.join("points3D.bin"), [words(&[2]), point(0.5), point(0.75)].concat()).unwrap();
+    }
+
     /// The commands of COLMAP since this was called last.
     fn calls(&self) -> Vec<String> {
         let text = fs::read_to_string(self.path("calls")).unwrap_or_default();
@@ -174,34 +178,6 @@ impl Capture {
         let first = |line: &str| line.split(' ').next().unwrap_or_default().to_owned();
         text.lines().filter(|line| !line.ends_with(" -h")).map(first).collect()
     }
-}
-
-/// A binary model with these photographs and two points.
-fn write_model(model: &Path, photographs: &[&str]) {
-    fs::create_dir_all(model).unwrap();
-    let words = |values: &[u64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
-    let numbers = |values: &[f64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
-    // Camera 1 of model 1, PINHOLE.
-    let camera = [
-        words(&[1]),
-        [1u32, 1].map(u32::to_le_bytes).concat(),
-        words(&[48, 36]),
-        numbers(&[60.0, 60.0, 24.0, 18.0]),
-    ];
-    fs::write(model.join("cameras.bin"), camera.concat()).unwrap();
-    let mut images = words(&[photographs.len() as u64]);
-    for (i, photograph) in photographs.iter().enumerate() {
-        images.extend((i as u32).to_le_bytes());
-        images.extend(numbers(&[1.0, 0.0, 0.0, 0.0, i as f64, 0.0, 4.0]));
-        images.extend(1u32.to_le_bytes());
-        images.extend(photograph.as_bytes());
-        images.push(0);
-        images.extend(words(&[0]));
-    }
-    fs::write(model.join("images.bin"), images).unwrap();
-    let point =
-        |error: f64| [words(&[1]), numbers(&[0.0; 3]), vec![0; 3], numbers(&[error]), words(&[0])].concat();
-    fs::write(model.join("points3D.bin"), [words(&[2]), point(0.5), point(0.75)].concat()).unwrap();
 }
 
 fn no_masks(options: &mut PrepareOptions) {

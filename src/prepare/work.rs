@@ -48,24 +48,16 @@ impl<'a> Work<'a> {
         let is_ours =
             |name: &OsString| [WORK, LOGS].iter().chain(&FINISHED).any(|known| name.as_os_str() == *known);
         if let Some(other) = names.iter().find(|name| !(has(WORK) && is_ours(name))) {
-            let problem =
-                format!("the output folder {} is not empty: it has {}", out.display(), other.display());
-            let is_finished = FINISHED.iter().all(|name| *name == "masks" || has(name));
-            let help = if is_finished {
-                "It holds a data set that is finished; for other options, give another folder."
-            } else {
-                "Give a folder that is new or empty."
+            let (out, other) = (out.display(), other.display());
+            let problem = format!("the output folder {out} is not empty: it has {other}");
+            let help = match FINISHED.iter().all(|name| *name == "masks" || has(name)) {
+                true => "It holds a data set that is finished; for other options, give another folder.",
+                false => "Give a folder that is new or empty.",
             };
             return Err(Error::usage(problem, help));
         }
-        for folder in [out.join(WORK), out.join(LOGS)] {
-            if folder.is_symlink() {
-                let problem =
-                    format!("{} is a symbolic link: work would be done elsewhere", folder.display());
-                return Err(Error::usage(problem, "Remove the link, or give another folder."));
-            }
-            make_folder(&folder)?;
-        }
+        make_folder(&out.join(WORK))?;
+        make_folder(&out.join(LOGS))?;
         let lock = FolderLock::take(&out.join(WORK))?;
         Ok(Self { out: out.to_owned(), progress, settings: String::new(), stale: false, lock })
     }
@@ -109,8 +101,8 @@ impl<'a> Work<'a> {
         done: impl Fn(&str) -> Option<u64>,
     ) -> Result<()> {
         let bar = self.progress.bar(name, length);
-        let ran = program
-            .run(words, &self.log(name), |line| done(line).iter().for_each(|at| bar.set_position(*at)));
+        let watch = |line: &str| done(line).iter().for_each(|at| bar.set_position(*at));
+        let ran = program.run(words, &self.log(name), watch);
         bar.finish_and_clear();
         ran
     }
@@ -228,20 +220,18 @@ impl Program {
         // Ctrl-C reaches the program as well: it may be gone before this one has heard of it.
         std::thread::sleep(LONGEST_PAUSE);
         check_interrupted()?;
-        let mut name = self.path.file_name().unwrap_or_default().display().to_string();
-        if let Some(command) = arguments.first().map(|word| word.to_string_lossy())
-            && !command.starts_with('-')
-        {
-            name += &format!(" {command}");
-        }
+        let command = arguments.first().map(|word| word.to_string_lossy());
+        let command = command.filter(|command| !command.starts_with('-'));
+        let command = command.map(|command| format!(" {command}")).unwrap_or_default();
+        let name = format!("{}{command}", self.path.file_name().unwrap_or_default().display());
         let output = fs::read(log).unwrap_or_default();
         let output = String::from_utf8_lossy(&output);
         let lines = output.lines().map(str::trim).filter(|line| line.chars().any(char::is_alphanumeric));
         let lines: Vec<String> = lines.map(|line| line.chars().take(QUOTED_CHARS).collect()).collect();
-        let said = match lines.len() {
-            0 => "it gave no reason".to_owned(),
-            count => lines[count.saturating_sub(QUOTED_LINES)..].join("\n"),
-        };
+        let mut said = lines[lines.len().saturating_sub(QUOTED_LINES)..].join("\n");
+        if said.is_empty() {
+            said = "it gave no reason".to_owned();
+        }
         let problem = format!("it failed ({status}): {said}\nIts whole output is in {}", log.display());
         Err(Error::run(name, problem))
     }
@@ -336,12 +326,6 @@ mod tests {
         fs::write(out.join("thesis.txt"), "x").unwrap();
         refused(out, "thesis.txt");
         refused(&out.join("thesis.txt"), "is a file");
-        // Work is not done where a link leads.
-        let linked = out.join("linked");
-        fs::create_dir(&linked).unwrap();
-        std::os::unix::fs::symlink(out.join("images"), linked.join(WORK)).unwrap();
-        refused(&linked, "is a symbolic link");
-        assert_eq!(fs::read_dir(out.join("images")).unwrap().count(), 0);
     }
 
     #[test]

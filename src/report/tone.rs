@@ -47,18 +47,12 @@ impl Tone {
 
 fn filmic(radiance: Vec3) -> Vec3 {
     // Rows of the published matrices (sRGB → XYZ → D65_2_D60 → AP1 → RRT_SAT, and ODT_SAT → … → sRGB), so transposed here.
-    let aces_from_srgb = Mat3::from_cols_array_2d(&[
-        [0.59719, 0.35458, 0.04823],
-        [0.07600, 0.90834, 0.01566],
-        [0.02840, 0.13383, 0.83777],
-    ])
-    .transpose();
-    let srgb_from_aces = Mat3::from_cols_array_2d(&[
-        [1.60475, -0.53108, -0.07367],
-        [-0.10208, 1.10813, -0.00605],
-        [-0.00327, -0.07276, 1.07602],
-    ])
-    .transpose();
+    const ACES: [[f32; 3]; 3] =
+        [[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]];
+    const SRGB: [[f32; 3]; 3] =
+        [[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]];
+    let [aces_from_srgb, srgb_from_aces] =
+        [ACES, SRGB].map(|rows| Mat3::from_cols_array_2d(&rows).transpose());
     // Beyond this the curve is flat and its squares would overflow.
     let v = (aces_from_srgb * (radiance / 0.6)).min(Vec3::splat(1e6));
     let curved = (v * (v + 0.024_578_6) - 0.000_090_537) / (v * (0.983_729 * v + 0.432_951) + 0.238_081);

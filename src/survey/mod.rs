@@ -134,7 +134,8 @@ pub struct Survey {
 impl Survey {
     /// Whether the cameras lie on rings and the background says that the object turned before them.
     pub fn is_turntable(&self) -> bool {
-        cameras::is_turntable(self.arrangement.as_ref(), self.background)
+        let is_on_rings = self.arrangement.as_ref().is_some_and(|arrangement| arrangement.rings.is_some());
+        is_on_rings && self.background.is_some_and(|sameness| sameness >= cameras::SAME)
     }
 
     /// Findings of one severity.
@@ -149,12 +150,8 @@ impl Survey {
     pub fn write_json(&self, path: &Path, estimate: &Estimate) -> Result<()> {
         let failed = |error: serde_json::Error| Error::run("writing the survey", error.to_string());
         let mut value = serde_json::to_value(self).map_err(failed)?;
-        value["estimate"] = json!({
-            "bytes": estimate.bytes(),
-            "seconds": estimate.seconds(),
-            "threads": estimate.threads,
-            "parts": estimate.parts,
-        });
+        let (bytes, seconds, Estimate { threads, parts }) = (estimate.bytes(), estimate.seconds(), estimate);
+        value["estimate"] = json!({ "bytes": bytes, "seconds": seconds, "threads": threads, "parts": parts });
         write_bytes(path, format!("{value:#}").as_bytes())
     }
 }
@@ -176,11 +173,8 @@ pub fn examine(
     let inverted = survey.findings.iter().find(is_inverted).cloned();
     // With inverted masks nothing agrees, and that is not the cameras' fault.
     if inverted.as_ref().is_none_or(|inverted| inverted.severity == Severity::Warning) {
-        let complaint = match bvh {
-            Some(_) => None,
-            None => cameras::check_meeting(&survey.looks).err(),
-        };
-        let complaint = complaint.map(|error| Finding::from_error("masks", &error));
+        let error = cameras::check_meeting(&survey.looks).err().filter(|_| bvh.is_none());
+        let complaint = error.map(|error| Finding::from_error("masks", &error));
         survey.findings.extend(silhouettes::of_silhouettes(bvh.as_ref(), &mut survey.looks, complaint));
     }
     let center = bvh.map(|bvh| bvh.bounding_sphere().0);
@@ -190,8 +184,8 @@ pub fn examine(
     if let Some(arrangement) = survey.arrangement.as_ref().filter(|_| poses_are_right) {
         let directions = arrangement.directions(&survey.looks);
         let spoils = |finding: &&Finding| finding.severity == Severity::Error || finding.name == "stray-view";
-        let faults: Vec<&Finding> = survey.findings.iter().filter(spoils).collect();
-        let is_spoiled = |look: &ViewLook| faults.iter().any(|fault| fault.views.contains(&look.name));
+        let faults = || survey.findings.iter().filter(spoils);
+        let is_spoiled = |look: &ViewLook| faults().any(|fault| fault.views.contains(&look.name));
         let spoiled: Vec<bool> = survey.looks.iter().map(is_spoiled).collect();
         let found = photographs::of_exposure(&mut survey.looks, &directions, &spoiled);
         survey.findings.extend(found);
@@ -203,8 +197,8 @@ pub fn examine(
     // Where a mask is inverted, the background is what was looked at.
     let inverted = inverted.map_or(Vec::new(), |finding| finding.views);
     survey.findings.retain(|finding| {
-        let is_explained = ["black", "stray-view"].contains(&finding.name) && !inverted.is_empty();
-        !(is_explained && finding.views.iter().all(|view| inverted.contains(view)))
+        let is_explained = finding.views.iter().all(|view| inverted.contains(view));
+        !(is_explained && ["black", "stray-view"].contains(&finding.name))
     });
     survey.findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     survey

@@ -6,22 +6,21 @@ use clap::Args;
 use lobelia::codec::file::{FileUse, check_writable};
 use lobelia::pass::memory::{usual_budget, within};
 use lobelia::pass::preflight::{check_outputs, check_sizes};
-use lobelia::pass::progress::{Bar, Progress, Silent};
+use lobelia::pass::progress::{RecordedMessages, Silent};
 use lobelia::pass::{looks, rehearse};
 use lobelia::scene::{LoadOptions, LoadedScene, Pass, Scene, Surface, Views, load, unknown_parts};
 use lobelia::survey::estimate::{Estimate, estimate};
 use lobelia::survey::open::{OpenScene, survey};
-use lobelia::survey::{Severity, Survey, table};
+use lobelia::survey::{Finding, Severity, Survey, table};
 use lobelia::view::ViewRecord;
 use lobelia::{Error, Result};
-use std::cell::RefCell;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// The survey.
 const JSON: &str = "survey.json";
 
-/// `lobelia check`.
+/// Read a scene file, look at its photographs and masks, and say what it would do and what is wrong
 #[derive(Args, Debug)]
 pub struct CheckArgs {
     #[command(flatten)]
@@ -47,9 +46,9 @@ pub fn run(args: &CheckArgs) -> Result<()> {
     }
     start_threads(args.threads)?;
     let surveyed = if has_photographs { survey(&loaded.scene)? } else { None };
-    let (surveyed, views) = surveyed.map_or((None, Vec::new()), |(survey, views)| (Some(survey), views));
+    let (surveyed, views) = surveyed.unzip();
     let budget = args.memory.or_else(usual_budget);
-    let outcome = Outcome::of(&loaded, surveyed.as_ref(), views, budget);
+    let outcome = Outcome::of(&loaded, surveyed.as_ref(), views.unwrap_or_default(), budget);
     print(&summary(&loaded, surveyed.as_ref(), &outcome))?;
     if let (Some(out), Some(survey)) = (&args.out, &surveyed) {
         std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
@@ -61,6 +60,7 @@ pub fn run(args: &CheckArgs) -> Result<()> {
 }
 
 /// Outcome of a run's start, before its first pass.
+#[derive(Default)]
 struct Outcome {
     notes: Vec<String>,
     /// Memory and time of the run; `None` if the views are not known.
@@ -84,36 +84,17 @@ impl Outcome {
         let looks = known.then(|| looks(scene, surveyed)).transpose();
         let needs = looks.as_ref().ok().and_then(Option::as_ref);
         let needs = needs.map(|looks| estimate(looks, scene, rayon::current_num_threads()));
-        let ends = |notes, error: Option<Error>| Self { notes, needs, is_further: false, error };
-        if let Some(error) = surveyed.and_then(|survey| survey.findings_of(Severity::Error).next()) {
-            return ends(Vec::new(), Some(error.to_error()));
+        let found = surveyed.and_then(|survey| survey.findings_of(Severity::Error).next());
+        if found.is_some() || !loaded.unseen.is_empty() {
+            return Self { needs, error: found.map(Finding::to_error), ..Self::default() };
         }
-        if !loaded.unseen.is_empty() {
-            return ends(Vec::new(), None);
-        }
-        let notes = Notes::default();
+        let notes = RecordedMessages::new(&Silent);
         let keeps = looks.and_then(|looks| match looks {
             Some(looks) => within(scene, &looks, budget, &notes).map(drop),
             None => Ok(()),
         });
         let error = keeps.and_then(|()| rehearse(scene, views, &notes)).err();
-        Self { is_further: error.is_some(), ..ends(notes.0.into_inner(), error) }
-    }
-}
-
-/// Keeps what a rehearsal notes, for the summary.
-#[derive(Default)]
-struct Notes(RefCell<Vec<String>>);
-
-impl Progress for Notes {
-    fn note(&self, text: &str) {
-        self.0.borrow_mut().push(text.to_owned());
-    }
-
-    fn print(&self, _: &str) {}
-
-    fn bar(&self, _: &str, _: u64) -> Box<dyn Bar> {
-        Box::new(Silent)
+        Self { is_further: error.is_some(), notes: notes.take(), needs, error }
     }
 }
 
@@ -144,12 +125,19 @@ fn summary(loaded: &LoadedScene, surveyed: Option<&Survey>, outcome: &Outcome) -
     let scene = &loaded.scene;
     let unknown = unknown_parts(scene);
     let unknown = if unknown.is_empty() { "nothing".to_owned() } else { unknown.join(", ") };
+    // The debug text of a pass begins with the word of the scene file, as in `Fit(…`.
+    let kind = |pass: &Pass| format!("{pass:?}").split('(').next().unwrap_or_default().to_owned();
     let passes: Vec<String> =
         scene.passes.iter().map(|pass| format!("{} ({})", pass.name(), kind(pass))).collect();
-    let further = usize::from(outcome.is_further);
     let verdict = match loaded.unseen.is_empty() {
-        true => table::verdict(surveyed, further),
+        true => table::verdict(surveyed, usize::from(outcome.is_further)),
         false => "the scene file is fine; its data was not looked at: say --data DIR".to_owned(),
+    };
+    let files = match (loaded.files.len(), loaded.unseen.len()) {
+        (found, 0) => format!("{found} named, all found"),
+        (found, unseen) => {
+            format!("{found} found, {unseen} below $DATA not looked for (say --data DIR to look)")
+        }
     };
     let mut text = format!("{}: {verdict}\n", loaded.path.display());
     let mut line = |label: &str, value: &str| writeln!(text, "  {label:<8} {value}");
@@ -158,7 +146,7 @@ fn summary(loaded: &LoadedScene, surveyed: Option<&Survey>, outcome: &Outcome) -
     let _ = line("views", &views(scene));
     let _ = line("unknown", &unknown);
     let _ = line("passes", &format!("{}: {}", passes.len(), passes.join(", ")));
-    let _ = line("files", &files(loaded));
+    let _ = line("files", &files);
     for file in loaded.files.iter().chain(&loaded.unseen) {
         let _ = line("", &file.display().to_string());
     }
@@ -175,14 +163,6 @@ fn summary(loaded: &LoadedScene, surveyed: Option<&Survey>, outcome: &Outcome) -
         text += &table::findings(survey);
     }
     text
-}
-
-fn files(loaded: &LoadedScene) -> String {
-    let found = loaded.files.len();
-    match loaded.unseen.len() {
-        0 => format!("{found} named, all found"),
-        unseen => format!("{found} found, {unseen} below $DATA not looked for (say --data DIR to look)"),
-    }
 }
 
 fn surface(scene: &Scene) -> String {
@@ -205,19 +185,5 @@ fn views(scene: &Scene) -> String {
         Views::Photographed(made) => {
             format!("{} to fit and {} to test, photographed here", made.cameras.count, made.cameras.test)
         }
-    }
-}
-
-fn kind(pass: &Pass) -> &'static str {
-    match pass {
-        Pass::Fit(_) => "Fit",
-        Pass::Shape(_) => "Shape",
-        Pass::Render(_) => "Render",
-        Pass::Edit(_) => "Edit",
-        Pass::Relight(_) => "Relight",
-        Pass::Evaluate(_) => "Evaluate",
-        Pass::Save(_) => "Save",
-        Pass::Export(_) => "Export",
-        Pass::View(_) => "View",
     }
 }

@@ -10,7 +10,7 @@ use lobelia::codec::npy::NpyConvention;
 use lobelia::codec::png_file::{software_of, write_rgb8, write_rgb8_by};
 use lobelia::error::stop::is_stopping;
 use lobelia::light::convention::MapConvention;
-use lobelia::light::map_fit::{MapFit, MapFitProgress, MapFitReport, Sun, fit_map_with, target_of};
+use lobelia::light::map_fit::{MapFit, MapFitProgress, MapFitReport, fit_map_with, target_of};
 use lobelia::light::{EnvironmentMap, LightLobe, lobes_power, lobes_radiance, render_lobes};
 use lobelia::pass::progress::Progress;
 use lobelia::report::sheet::{draw_text, line_height};
@@ -24,7 +24,8 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-const ENV_EXAMPLES: &str = "\
+/// The end of the help.
+pub const EXAMPLES: &str = "\
 Examples:
   lobelia env fit sky.exr --lobes 100 --out sky.ron
       100 spherical Gaussians for a map, and sky.png: the map above, the lobes below. In a scene, put the text of
@@ -44,25 +45,13 @@ LIGHT is a .ron light (what a scene has inside light: Fixed(…)), .npy lobes of
 Radiance HDR latitude-longitude map. Maps: +Y is up, the left edge looks along −Z, a quarter in is +X, the middle
 is +Z; --convention says that a map faces as in another program.";
 
-/// `lobelia env`.
-#[derive(Args, Debug)]
-#[command(after_long_help = ENV_EXAMPLES, arg_required_else_help = true)]
-pub struct EnvArgs {
-    #[command(subcommand)]
-    command: EnvCommand,
-}
-
 /// Command for a light.
 #[derive(Debug, Subcommand)]
 pub enum EnvCommand {
-    /// Fit spherical Gaussians to a map
-    #[command(after_long_help = ENV_EXAMPLES)]
+    #[command(after_long_help = EXAMPLES)]
     Fit(FitArgs),
-    /// Draw a light as a latitude-longitude map
     Render(RenderArgs),
-    /// Turn a light
     Rotate(RotateArgs),
-    /// Say what is in a light: mean, power, peak, lobes
     Info(InfoArgs),
 }
 
@@ -107,7 +96,7 @@ impl From<ConventionArgs> for LightConventions {
     }
 }
 
-/// `lobelia env fit`.
+/// Fit spherical Gaussians to a map
 #[derive(Args, Debug)]
 pub struct FitArgs {
     /// An OpenEXR or Radiance HDR latitude-longitude map
@@ -135,7 +124,7 @@ pub struct FitArgs {
     quiet: bool,
 }
 
-/// `lobelia env render`.
+/// Draw a light as a latitude-longitude map
 #[derive(Args, Debug)]
 pub struct RenderArgs {
     /// A .ron light, .npy lobes, or a map
@@ -149,7 +138,7 @@ pub struct RenderArgs {
     conventions: ConventionArgs,
 }
 
-/// `lobelia env rotate`.
+/// Turn a light
 #[derive(Args, Debug)]
 pub struct RotateArgs {
     /// A .ron light, .npy lobes, or a map
@@ -168,7 +157,7 @@ pub struct RotateArgs {
     conventions: ConventionArgs,
 }
 
-/// `lobelia env info`.
+/// Say what is in a light: mean, power, peak, lobes
 #[derive(Args, Debug)]
 pub struct InfoArgs {
     /// A .ron light, .npy lobes, or a map
@@ -181,23 +170,17 @@ pub struct InfoArgs {
 }
 
 fn size(text: &str) -> std::result::Result<(u32, u32), String> {
-    let parse = |side: &str| side.trim().parse::<u32>().ok().filter(|n| (1..=16_384).contains(n));
-    match text.split_once(['x', '×']) {
-        Some((width, height)) => parse(width).zip(parse(height)),
-        None => None,
-    }
-    .ok_or_else(|| "expected WIDTHxHEIGHT, each 1 to 16384, e.g. 512x256".to_owned())
+    let side = |side: &str| side.trim().parse::<u32>().ok().filter(|n| (1..=16_384).contains(n));
+    let sides = text.split_once(['x', '×']).and_then(|(width, height)| side(width).zip(side(height)));
+    sides.ok_or_else(|| "expected WIDTHxHEIGHT, each 1 to 16384, e.g. 512x256".to_owned())
 }
 
 fn numbers<const N: usize>(text: &str) -> std::result::Result<[f32; N], String> {
     let values: Option<Vec<f32>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
     let finite = values.filter(|values| values.iter().all(|v| v.is_finite()));
-    finite.and_then(|values| values.try_into().ok()).ok_or_else(|| {
-        format!(
-            "expected {N} numbers with commas between them, e.g. {}",
-            [1; N].map(|n| n.to_string()).join(",")
-        )
-    })
+    let example = ["1"; N].join(",");
+    let wrong = || format!("expected {N} numbers with commas between them, e.g. {example}");
+    finite.and_then(|values| values.try_into().ok()).ok_or_else(wrong)
 }
 
 /// Bytes of a rendered map's texel: radiance by rows, joined, and encoded.
@@ -217,8 +200,8 @@ const TEXT_SIZE: f32 = 2.0;
 const WIDEST_PICTURE: u32 = 1024;
 
 /// Runs `lobelia env`.
-pub fn run(args: &EnvArgs) -> Result<()> {
-    match &args.command {
+pub fn run(command: &EnvCommand) -> Result<()> {
+    match command {
         EnvCommand::Fit(args) => fit(args),
         EnvCommand::Render(args) => render(args),
         EnvCommand::Rotate(args) => rotate(args),
@@ -231,37 +214,50 @@ pub fn run(args: &EnvArgs) -> Result<()> {
 
 fn read(path: &Path, said: ConventionArgs) -> Result<LightFile> {
     let (light, notes) = read_light(path, said.into())?;
-    notes.iter().for_each(|note| Terminal::new(false).note(note));
+    notes.iter().for_each(|note| Terminal { quiet: false }.note(note));
     Ok(light)
 }
 
 fn fit(args: &FitArgs) -> Result<()> {
     refuse_before_work(args)?;
     start_threads(args.threads)?;
-    let progress = Terminal::new(args.quiet);
+    let progress = Terminal { quiet: args.quiet };
     let (map, notes) = read_map(&args.map, args.conventions.convention)?;
     notes.iter().for_each(|note| progress.note(note));
     let options = MapFit { upper_hemisphere: args.upper_hemisphere, white: args.white, ..MapFit::default() };
-    check_lit(&args.map, &target_of(&map, &options))?;
+    let target = target_of(&map, &options);
+    check_lit(&args.map, &target)?;
     print("lobes  mean squared error  relative rms  power kept r g b         seconds\n")?;
     for &count in &args.lobes {
         let started = Instant::now();
-        let report = fit_one(&map, count, &options, &progress)?;
+        let bar = progress.bar(&format!("{count} lobes"), 100);
+        let mut tell = |told: MapFitProgress| {
+            bar.set_position((100.0 * told.done) as u64);
+            bar.set_message(format!("error {:.5}", told.mse));
+        };
+        let report = fit_map_with(&map, usize::from(count), &options, &mut tell, &is_stopping);
+        bar.finish_and_clear();
+        let report = report?;
         let secs = started.elapsed().as_secs_f64();
-        if count == args.lobes[0] {
-            sun_notes(&report.suns).iter().for_each(|note| progress.note(note));
+        // One line for each sun that was fitted apart, with what its lobe does to the peak.
+        for sun in report.suns.iter().filter(|_| count == args.lobes[0]) {
+            progress.note(&format!(
+                "sun at {}: peak {:.3e} over {:.1e} sr, {:.1} % of the power; its lobe has sharpness {:.0} and peak {:.3e}",
+                direction(sun.lobe.axis),
+                sun.peak.max_element(),
+                sun.solid_angle,
+                100.0 * sun.power_share,
+                sun.lobe.sharpness,
+                sun.lobe.amplitude.max_element()
+            ));
         }
         let [r, g, b] = report.power_ratio;
-        let relative = (report.mse / report.mean_square).sqrt();
-        print(&format!(
-            "{count:>5}  {:>18.5}  {:>10.2} %  {r:.4} {g:.4} {b:.4}  {secs:>10.1}\n",
-            report.mse,
-            100.0 * relative
-        ))?;
+        let (mse, relative) = (report.mse, 100.0 * (report.mse / report.mean_square).sqrt());
+        print(&format!("{count:>5}  {mse:>18.5}  {relative:>10.2} %  {r:.4} {g:.4} {b:.4}  {secs:>10.1}\n"))?;
         if let Some(out) = &args.out {
             LightFile::Lobes(report.lobes.clone()).write(out, args.conventions.into())?;
             let shown = out.with_extension("png");
-            write_rgb8_by(&shown, &before_and_after(&target_of(&map, &options), &report), PICTURE_BY)?;
+            write_rgb8_by(&shown, &before_and_after(&target, &report), PICTURE_BY)?;
             print(&format!("Written: {} and {}\n", out.display(), shown.display()))?;
         }
     }
@@ -288,22 +284,6 @@ fn refuse_before_work(args: &FitArgs) -> Result<()> {
         return Err(Error::usage(problem, help));
     }
     check_writable(out.parent().unwrap_or(Path::new("")))
-}
-
-fn fit_one(
-    map: &EnvironmentMap,
-    count: u16,
-    options: &MapFit,
-    progress: &dyn Progress,
-) -> Result<MapFitReport> {
-    let bar = progress.bar(&format!("{count} lobes"), 100);
-    let mut tell = |told: MapFitProgress| {
-        bar.set_position((100.0 * told.done) as u64);
-        bar.set_message(format!("error {:.5}", told.mse));
-    };
-    let report = fit_map_with(map, usize::from(count), options, &mut tell, &is_stopping);
-    bar.finish_and_clear();
-    Ok(report?)
 }
 
 fn render(args: &RenderArgs) -> Result<()> {
@@ -342,22 +322,6 @@ fn rotate(args: &RotateArgs) -> Result<()> {
 
 // What is in a light, in words.
 
-/// One line for each sun that was fitted apart, with what its lobe does to the peak.
-fn sun_notes(suns: &[Sun]) -> Vec<String> {
-    let note = |sun: &Sun| {
-        format!(
-            "sun at {}: peak {:.3e} over {:.1e} sr, {:.1} % of the power; its lobe has sharpness {:.0} and peak {:.3e}",
-            direction(sun.lobe.axis),
-            sun.peak.max_element(),
-            sun.solid_angle,
-            100.0 * sun.power_share,
-            sun.lobe.sharpness,
-            sun.lobe.amplitude.max_element()
-        )
-    };
-    suns.iter().map(note).collect()
-}
-
 /// Describes a light: mean, power, peak, and a table of its lobes by power (all of them, or the
 /// first 16).
 fn info(light: &LightFile, all: bool) -> String {
@@ -376,12 +340,11 @@ fn info(light: &LightFile, all: bool) -> String {
     // Writing to a `String` cannot fail.
     let _ = writeln!(text, "  mean radiance   {}", rgb(power / (4.0 * PI)));
     let _ = writeln!(text, "  power           {} (integral over the sphere, radiance × sr)", rgb(power));
-    let _ = match luminous(power) {
-        whole if whole > 0.0 => {
-            writeln!(text, "  from above      {:.1} % of the luminous power", 100.0 * upper / whole)
-        }
-        _ => writeln!(text, "  from above      nothing: it gives no light"),
+    let from_above = match luminous(power) {
+        whole if whole > 0.0 => format!("{:.1} % of the luminous power", 100.0 * upper / whole),
+        _ => "nothing: it gives no light".to_owned(),
     };
+    let _ = writeln!(text, "  from above      {from_above}");
     let _ = writeln!(text, "  peak            {} at {}", rgb(peak.as_dvec3()), direction(toward));
     if let LightFile::Lobes(lobes) = light {
         table(&mut text, lobes, if all { lobes.len() } else { TABLE_LINES });
@@ -402,8 +365,7 @@ fn peak(light: &LightFile) -> (Vec3, Vec3) {
         }
         LightFile::Map(map) => {
             let at = |k: u32| map.texel_direction(k % map.width, k / map.width);
-            let texels = (0..).zip(&map.radiance).map(|(k, &radiance)| (radiance, at(k)));
-            texels.reduce(brighter)
+            (0..).zip(&map.radiance).map(|(k, &radiance)| (radiance, at(k))).reduce(brighter)
         }
     };
     brightest.unwrap_or((Vec3::ZERO, Vec3::Y))
@@ -453,7 +415,7 @@ fn rgb(v: DVec3) -> String {
 /// Factor on a map's radiance for a preview: brings the solid-angle-weighted geometric mean luminance to mid-gray
 /// (Reinhard et al. 2002, eq. 1).
 fn preview_factor(map: &EnvironmentMap) -> f32 {
-    let mean = f64::from(luminance(map.power().as_vec3())) / (4.0 * PI);
+    let mean = luminous(map.power()) / (4.0 * PI);
     if mean <= 0.0 {
         return 1.0;
     }
@@ -467,11 +429,10 @@ fn preview_factor(map: &EnvironmentMap) -> f32 {
 
 /// A map as an 8-bit picture, its radiance multiplied by `factor`.
 fn picture(map: &EnvironmentMap, factor: f32) -> RgbImage {
-    let texel = |x: u32, y: u32| {
+    RgbImage::from_fn(map.width, map.height, |x, y| {
         let radiance = map.radiance[(y * map.width + x) as usize];
         Rgb(srgb8(Tone::Neutral.curve(radiance * factor)))
-    };
-    RgbImage::from_fn(map.width, map.height, texel)
+    })
 }
 
 /// The map above, what the lobes make of it below, each with a line of text.

@@ -22,7 +22,6 @@ mod view;
 
 use clap::error::{ContextKind, ContextValue};
 use clap::{Parser, Subcommand};
-use lobelia::Result;
 use std::io::Write as _;
 use std::process::ExitCode;
 
@@ -57,32 +56,21 @@ struct Cli {
     command: Command,
 }
 
-/// Command of `lobelia`.
+/// The commands; the comment of each one's arguments is its help.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run the passes of a scene file
-    #[command(long_about = run::RUN_LONG, after_long_help = EXAMPLES)]
+    #[command(after_long_help = EXAMPLES)]
     Run(run::RunArgs),
-    /// Read a scene file, look at its photographs and masks, and say what it would do and what is wrong
     Check(check::CheckArgs),
-    /// From photographs or a video to a data set: cameras by COLMAP, masks, a scene file
-    #[command(long_about = prepare::PREPARE_LONG, after_long_help = prepare::PREPARE_EXAMPLES)]
     Prepare(prepare::PrepareArgs),
-    /// Write a commented scene file for a data set
     New(prepare::NewArgs),
-    /// Write a page that shows a saved object in a browser: turned, relit, edited
-    #[command(long_about = view::VIEW_LONG)]
     View(view::ViewArgs),
-    /// Write a page that shows a run, or sets several side by side: scores, views, curves
-    #[command(long_about = report::REPORT_LONG)]
     Report(report::ReportArgs),
-    /// Compare two images, or the images of two folders by name: PSNR and SSIM in linear light
     Eval(report::EvalArgs),
-    /// Measure how long shading takes per point and light lobe on this machine, in about a minute
-    #[command(long_about = bench::BENCH_LONG, after_long_help = bench::BENCH_EXAMPLES)]
     Bench(bench::BenchArgs),
     /// Environment light: fit SG lobes to a map, draw lobes as a map, turn a light, say what is in it
-    Env(env::EnvArgs),
+    #[command(subcommand, after_long_help = env::EXAMPLES)]
+    Env(env::EnvCommand),
 }
 
 /// Arguments in, one report of an error out, and the exit code.
@@ -101,7 +89,18 @@ fn main() -> ExitCode {
             return if error.use_stderr() { ExitCode::from(2) } else { ExitCode::SUCCESS };
         }
     };
-    match dispatch(&cli.command) {
+    let ended = match &cli.command {
+        Command::Run(args) => run::run(args),
+        Command::Check(args) => check::run(args),
+        Command::Prepare(args) => prepare::run(args),
+        Command::New(args) => prepare::new(args),
+        Command::Eval(args) => report::eval(args),
+        Command::View(args) => view::run(args),
+        Command::Report(args) => report::run(args),
+        Command::Bench(args) => bench::run(args),
+        Command::Env(command) => env::run(command),
+    };
+    match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let _ = std::io::stderr().write_all(error_message::report(&error).as_bytes());
@@ -134,25 +133,9 @@ const GONE: [(&str, &str); 9] = [
 
 /// A word that a command once had, and what to do instead.
 fn gone_word(error: &clap::Error) -> Option<(&'static str, &'static str)> {
-    let word = [ContextKind::InvalidArg, ContextKind::InvalidSubcommand]
-        .into_iter()
-        .find_map(|kind| error.get(kind));
-    let Some(ContextValue::String(word)) = word else { return None };
+    let given = error.get(ContextKind::InvalidArg).or_else(|| error.get(ContextKind::InvalidSubcommand));
+    let Some(ContextValue::String(word)) = given else { return None };
     GONE.into_iter().find(|(gone, _)| word.split(['=', ' ']).next() == Some(gone))
-}
-
-fn dispatch(command: &Command) -> Result<()> {
-    match command {
-        Command::Run(args) => run::run(args),
-        Command::Check(args) => check::run(args),
-        Command::Prepare(args) => prepare::run(args),
-        Command::New(args) => prepare::new(args),
-        Command::Eval(args) => report::eval(args),
-        Command::View(args) => view::run(args),
-        Command::Report(args) => report::run(args),
-        Command::Bench(args) => bench::run(args),
-        Command::Env(args) => env::run(args),
-    }
 }
 
 #[cfg(test)]

@@ -11,16 +11,7 @@ use lobelia::prepare::{FrameCount, MaskSource, Matching, PrepareOptions, prepare
 use lobelia::{Error, Result};
 use std::path::PathBuf;
 
-/// The beginning of `lobelia prepare --help`.
-pub const PREPARE_LONG: &str = "\
-Makes a data set of photographs whose cameras are unknown.
-
-COLMAP finds the cameras: features, matches, mapping, undistortion. OUT then has images/, sparse/0/, masks/ if there
-are masks, logs/, and a commented scene file scene.ron. OUT must be new or empty. A run that was stopped goes on where
-it was when the same command is given again; steps whose options changed are done again.";
-
-/// Its end.
-pub const PREPARE_EXAMPLES: &str = "\
+const EXAMPLES: &str = "\
 Examples:
   lobelia prepare ~/photos ~/data/vase
       Masks by alpha, or by rembg if it is installed (`pip install 'rembg[cpu,cli]'`).
@@ -31,8 +22,16 @@ Examples:
   lobelia run ~/data/vase/scene.ron --out out/vase
       What to do then.";
 
-/// `lobelia prepare`.
+/// Makes a data set of photographs whose cameras are unknown.
+///
+/// COLMAP finds the cameras: features, matches, mapping, undistortion. OUT then has images/, sparse/0/, masks/ if there
+/// are masks, logs/, and a commented scene file scene.ron. OUT must be new or empty. A run that was stopped goes on where
+/// it was when the same command is given again; steps whose options changed are done again.
 #[derive(Args, Debug)]
+#[command(
+    about = "From photographs or a video to a data set: cameras by COLMAP, masks, a scene file",
+    verbatim_doc_comment, after_long_help = EXAMPLES
+)]
 pub struct PrepareArgs {
     /// A folder of JPEG and PNG photographs, or a video
     photos: PathBuf,
@@ -103,7 +102,7 @@ const LENSES: Choices<&str> = &[
 pub fn run(args: &PrepareArgs) -> Result<()> {
     stop_on_signals()?;
     start_threads(ThreadArgs { threads: None })?;
-    let terminal = Terminal::new(args.quiet);
+    let terminal = Terminal { quiet: args.quiet };
     let prepared = prepare(&options(args), &terminal)?;
     if prepared.scene.is_none() {
         terminal.note(
@@ -139,7 +138,7 @@ fn options(args: &PrepareArgs) -> PrepareOptions {
     }
 }
 
-/// `lobelia new`.
+/// Write a commented scene file for a data set
 #[derive(Args, Debug)]
 pub struct NewArgs {
     /// The folder of a data set

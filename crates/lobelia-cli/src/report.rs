@@ -12,17 +12,17 @@ use lobelia::{Error, Result};
 use std::collections::HashSet;
 use std::path::PathBuf;
 
-/// The long help.
-pub const REPORT_LONG: &str = "\
-Sets runs side by side, by their scores, times and states: a table on the terminal, or CSV with --csv.
-
-Of one run it writes the page that `lobelia run` writes into OUT/report.html after every pass. With --out it writes one
-page of 1 to 8 runs, which needs nothing else, no server and no network: the scores with the differences from the first
-run, the same views of all runs under one wipe, their curves in one chart, and the values in which their scene files
-differ.";
-
-/// `lobelia report`.
+/// Sets runs side by side, by their scores, times and states: a table on the terminal, or CSV with --csv.
+///
+/// Of one run it writes the page that `lobelia run` writes into OUT/report.html after every pass. With --out it writes one
+/// page of 1 to 8 runs, which needs nothing else, no server and no network: the scores with the differences from the first
+/// run, the same views of all runs under one wipe, their curves in one chart, and the values in which their scene files
+/// differ.
 #[derive(Args, Debug)]
+#[command(
+    about = "Write a page that shows a run, or sets several side by side: scores, views, curves",
+    verbatim_doc_comment
+)]
 pub struct ReportArgs {
     /// The output folders of runs; the first one is what the others are compared with
     #[arg(value_name = "OUT", required = true)]
@@ -35,7 +35,7 @@ pub struct ReportArgs {
     csv: bool,
 }
 
-/// `lobelia eval`.
+/// Compare two images, or the images of two folders by name: PSNR and SSIM in linear light
 #[derive(Args, Debug)]
 pub struct EvalArgs {
     /// An image, or a folder of images

@@ -19,17 +19,10 @@ pub fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Bars on a terminal and results on standard output; neither under `--quiet`. Errors are printed by the command itself.
+/// Bars where standard error is a terminal, and results on standard output; neither if it is `quiet`. Errors are printed by the command
+/// itself.
 pub struct Terminal {
-    bars: bool,
-    quiet: bool,
-}
-
-impl Terminal {
-    /// Bars if standard error is a terminal and `quiet` is not set.
-    pub fn new(quiet: bool) -> Self {
-        Self { bars: !quiet && std::io::stderr().is_terminal(), quiet }
-    }
+    pub quiet: bool,
 }
 
 impl Progress for Terminal {
@@ -43,26 +36,24 @@ impl Progress for Terminal {
 
     /// On standard output; a closed pipe is not an error.
     fn print(&self, text: &str) {
-        if self.quiet {
-            return;
+        if !self.quiet {
+            let _ = writeln!(std::io::stdout().lock(), "{text}");
         }
-        let mut out = std::io::stdout().lock();
-        let _ = writeln!(out, "{text}");
     }
 
     /// With the time left, or that spent where the length is not known; hidden where bars are not shown.
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
-        if !self.bars {
-            return Box::new(TerminalBar::new(ProgressBar::hidden()));
+        let mut bar = ProgressBar::hidden();
+        if !self.quiet && std::io::stderr().is_terminal() {
+            bar = ProgressBar::new(length);
+            dress(&bar, length);
+            bar.set_prefix(title.to_owned());
+            // The ticker is a thread, and a bar without one is drawn when it moves.
+            if std::thread::Builder::new().spawn(|| ()).is_ok() {
+                bar.enable_steady_tick(Duration::from_millis(200));
+            }
         }
-        let bar = ProgressBar::new(length);
-        dress(&bar, length);
-        bar.set_prefix(title.to_owned());
-        // The ticker is a thread, and a bar without one is drawn when it moves.
-        if std::thread::Builder::new().spawn(|| ()).is_ok() {
-            bar.enable_steady_tick(Duration::from_millis(200));
-        }
-        Box::new(TerminalBar::new(bar))
+        Box::new(TerminalBar { bar, begins: AtomicBool::new(false) })
     }
 }
 
@@ -82,12 +73,6 @@ struct TerminalBar {
     bar: ProgressBar,
     /// Whether the number of steps is known now, and none was told yet.
     begins: AtomicBool,
-}
-
-impl TerminalBar {
-    fn new(bar: ProgressBar) -> Self {
-        Self { bar, begins: AtomicBool::new(false) }
-    }
 }
 
 impl Bar for TerminalBar {
@@ -186,15 +171,11 @@ impl JsonLog {
             Err(error) => ("failed", Some(error)),
         };
         let help = error.and_then(Error::help);
-        write_event(self.start, Event::Ended { state, error: error.map(in_a_line), help });
-    }
-}
-
-/// An error with the name of the scene file, if it is about that.
-fn in_a_line(error: &Error) -> String {
-    match error {
-        Error::Scene(diagnostic) => format!("{}: {error}", diagnostic.name),
-        _ => error.to_string(),
+        let error = error.map(|error| match error {
+            Error::Scene(diagnostic) => format!("{}: {error}", diagnostic.name),
+            _ => error.to_string(),
+        });
+        write_event(self.start, Event::Ended { state, error, help });
     }
 }
 

@@ -13,17 +13,17 @@ use lobelia::scene::{LightSource, LoadOptions, LoadedScene, ViewPass, Views, loa
 use lobelia::{Error, Result};
 use std::path::{Path, PathBuf};
 
-/// The long help.
-pub const VIEW_LONG: &str = "\
-Writes OUT/view.html: one page that shows the object that a run saved, and needs nothing else, no server and no network.
-
-The object is turned with mouse, touch or keyboard, under the light that was found or under lights given with
---light; roughness, reflection, color and exposure have sliders; what was done can be copied as a pass for a scene
-file. The photographs, if they are still there, are laid beside the picture under a wipe. A pass View() in a scene
-file writes the same page, with the lights of the scene's own passes.";
-
-/// `lobelia view`.
+/// Writes OUT/view.html: one page that shows the object that a run saved, and needs nothing else, no server and no network.
+///
+/// The object is turned with mouse, touch or keyboard, under the light that was found or under lights given with
+/// --light; roughness, reflection, color and exposure have sliders; what was done can be copied as a pass for a scene
+/// file. The photographs, if they are still there, are laid beside the picture under a wipe. A pass View() in a scene
+/// file writes the same page, with the lights of the scene's own passes.
 #[derive(Args, Debug)]
+#[command(
+    about = "Write a page that shows a saved object in a browser: turned, relit, edited",
+    verbatim_doc_comment
+)]
 pub struct ViewArgs {
     /// The output folder of a run with a `Save` pass, or a scene file in which all is known
     #[arg(value_name = "OUT")]
@@ -53,7 +53,7 @@ pub fn run(args: &ViewArgs) -> Result<()> {
     refuse_foreign(&folder.join(PAGE), SIGNATURE)?;
     start_threads(args.threads)?;
     let options = LoadOptions { data: args.data.clone(), ..LoadOptions::default() };
-    let terminal = Terminal::new(false);
+    let terminal = Terminal { quiet: false };
     let loaded = load(&scene, &options).or_else(|error| without_data(&scene, &options, error, &terminal))?;
     let lights: Vec<(String, LightSource)> = args.lights.iter().map(|path| light(path)).collect();
     let pass = ViewPass { photographs: args.photographs, ..ViewPass::default() };
@@ -93,12 +93,13 @@ fn scene_of(out: &Path) -> Result<(PathBuf, PathBuf)> {
 /// A light file, by its ending, under the name of the file.
 fn light(path: &Path) -> (String, LightSource) {
     let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let path = path.to_owned();
-    let ending = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-    let (scale, rotation_degrees) = (1.0, Vec3::ZERO);
-    let source = match ending.as_str() {
-        "ron" => LightSource::Ron { path, scale, rotation_degrees },
-        "npy" => LightSource::Npy { path, convention: NpyConvention::default(), scale, rotation_degrees },
+    let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
+    let (path, scale, rotation_degrees) = (path.to_owned(), 1.0, Vec3::ZERO);
+    let source = match ending.to_str() {
+        Some("ron") => LightSource::Ron { path, scale, rotation_degrees },
+        Some("npy") => {
+            LightSource::Npy { path, convention: NpyConvention::default(), scale, rotation_degrees }
+        }
         _ => LightSource::Map {
             path,
             scale,

@@ -228,8 +228,10 @@ fn table(class: &str, caption: &str, head: &str, rows: &str) -> String {
     )
 }
 
-fn head_cells(names: impl Iterator<Item = String>) -> String {
-    names.map(|name| format!("<th scope=\"col\">{name}</th>")).collect()
+/// The head of a table, of columns with these names as markup.
+fn head(first: &str, names: impl Iterator<Item = String>) -> String {
+    let names: String = names.map(|name| format!("<th scope=\"col\">{name}</th>")).collect();
+    format!("<thead><tr>{first}{names}</tr></thead>\n")
 }
 
 fn cells(cells: impl Iterator<Item = String>) -> String {
@@ -244,10 +246,7 @@ fn by_run(runs: &[RunReport], caption: &str, rows: Vec<Row>) -> String {
     if rows.is_empty() {
         return String::new();
     }
-    let head = if_several(runs, || {
-        let names = head_cells((0..runs.len()).map(|i| run_name(runs, i)));
-        format!("<thead><tr><td></td>{names}</tr></thead>\n")
-    });
+    let head = if_several(runs, || head("<td></td>", (0..runs.len()).map(|i| run_name(runs, i))));
     let rows = rows.into_iter().map(|(heading, row)| {
         format!("<tr><th scope=\"row\">{}</th>{}</tr>\n", escaped(&heading), cells(row.into_iter()))
     });
@@ -260,9 +259,8 @@ fn named_rows(runs: &[RunReport], values: impl Fn(&RunReport) -> Vec<(String, St
     let names: IndexSet<&String> = values.iter().flatten().map(|(name, _)| name).collect();
     let row = |wanted: &String| {
         let cell = |of: &Vec<(String, String)>| {
-            of.iter()
-                .find(|(name, _)| name == wanted)
-                .map_or_else(|| NOTHING.into(), |(_, cell)| cell.clone())
+            let found = of.iter().find(|(name, _)| name == wanted);
+            found.map_or_else(|| NOTHING.into(), |(_, cell)| cell.clone())
         };
         (wanted.clone(), values.iter().map(cell).collect())
     };
@@ -364,39 +362,35 @@ fn pass_table(runs: &[RunReport], caption: &str, columns: &[Score<PassScores>], 
     }
     let mut rows = String::new();
     for name in names {
-        for i in 0..runs.len() {
-            let (class, head) = if i == 0 {
-                let count = runs.len();
-                let head = format!("<th scope=\"rowgroup\" rowspan=\"{count}\">{}</th>", escaped(name));
-                (" class=\"first\"", head)
-            } else {
-                ("", String::new())
+        let count = runs.len();
+        let mut start =
+            format!("<tr class=\"first\"><th scope=\"rowgroup\" rowspan=\"{count}\">{}</th>", escaped(name));
+        for (i, run) in runs.iter().enumerate() {
+            let score = |of: fn(&PassScores) -> Option<f64>| {
+                move |run: &RunReport| run.scores.passes.get(name).and_then(of)
             };
-            let scores = columns
-                .iter()
-                .map(|(_, unit, of)| cell(runs, i, *unit, |run| run.scores.passes.get(name).and_then(of)));
-            let factors = || runs[i].scores.passes.get(name).map_or_else(|| NOTHING.to_owned(), scale_words);
+            let scores = columns.iter().map(|(_, unit, of)| cell(runs, i, *unit, score(*of)));
+            let factors = || run.scores.passes.get(name).map_or_else(|| NOTHING.to_owned(), scale_words);
             let scores = cells(scores.chain(scale.then(factors)));
             let run_cell = if_several(runs, || format!("<td>{}</td>", run_name(runs, i)));
-            rows += &format!("<tr{class}>{head}{run_cell}{scores}</tr>\n");
+            rows += &format!("{start}{run_cell}{scores}</tr>\n");
+            start = "<tr>".to_owned();
         }
     }
     let columns = columns.iter().map(|(name, ..)| *name).chain(scale.then_some("scale removed"));
     let heads = ["pass"].into_iter().chain((runs.len() > 1).then_some("run")).chain(columns);
-    let head = format!("<thead><tr>{}</tr></thead>\n", head_cells(heads.map(str::to_owned)));
-    table(" class=\"numbers\"", caption, &head, &rows)
+    table(" class=\"numbers\"", caption, &head("", heads.map(str::to_owned)), &rows)
 }
 
 /// The factors that were taken out before scoring.
 fn scale_words(scores: &PassScores) -> String {
     let words = |[r, g, b]: [f64; 3]| format!("{r:.3}, {g:.3}, {b:.3}");
+    let factors = words(scores.scale);
     match (scores.scaling, scores.scale_specular) {
         (Scaling::None, _) => "none".to_owned(),
-        (Scaling::PerView, _) => format!("of each view; mean {}", words(scores.scale)),
-        (Scaling::PerLayer, Some(specular)) => {
-            format!("diffuse {}; specular {}", words(scores.scale), words(specular))
-        }
-        _ => words(scores.scale),
+        (Scaling::PerView, _) => format!("of each view; mean {factors}"),
+        (Scaling::PerLayer, Some(specular)) => format!("diffuse {factors}; specular {}", words(specular)),
+        _ => factors,
     }
 }
 
@@ -433,11 +427,10 @@ fn views(runs: &[RunReport]) -> String {
 type RunView<'a> = (Option<&'a ViewReport>, Option<&'a ViewScores>);
 
 /// The views of a pass that any run has, the worst first: by the score of the first run that has one.
-fn pass_views(runs: &[RunReport], pass: &str) -> String {
-    let of_runs: Vec<(Option<&PassViews>, Option<&PassScores>)> = runs
-        .iter()
-        .map(|run| (run.views.iter().find(|views| views.pass == pass), run.scores.passes.get(pass)))
-        .collect();
+fn pass_views<'a>(runs: &'a [RunReport], pass: &str) -> String {
+    let of_run =
+        |run: &'a RunReport| (run.views.iter().find(|views| views.pass == pass), run.scores.passes.get(pass));
+    let of_runs: Vec<(Option<&PassViews>, Option<&PassScores>)> = runs.iter().map(of_run).collect();
     let all = || of_runs.iter().filter_map(|(views, _)| *views).flat_map(|views| &views.views);
     let names: IndexSet<&str> = all().map(|view| view.name.as_str()).collect();
     // Scored against photographs, if the run has scores of sRGB values.
@@ -562,12 +555,9 @@ fn curves(runs: &[RunReport]) -> String {
     let several = runs.len() > 1;
     let logs = || {
         runs.iter().enumerate().flat_map(move |(i, run)| {
-            run.logs.iter().enumerate().map(move |(k, log)| {
-                if several {
-                    (i, format!("{}, {}", run.name, log.pass), log)
-                } else {
-                    (k, log.pass.clone(), log)
-                }
+            run.logs.iter().enumerate().map(move |(k, log)| match several {
+                true => (i, format!("{}, {}", run.name, log.pass), log),
+                false => (k, log.pass.clone(), log),
             })
         })
     };
@@ -591,10 +581,12 @@ fn curves(runs: &[RunReport]) -> String {
         [run] => run.logs.iter().map(|log| &log.pass).collect(),
         _ => runs.iter().map(|run| &run.name).collect(),
     };
-    let entry =
-        |(i, name): (usize, &&String)| format!("<span><i class=\"mark c{i}\"></i>{}</span>", escaped(name));
-    let legend: String = names.iter().enumerate().map(entry).collect();
-    let legend = if names.len() > 1 { format!("<p class=\"legend\">{legend}</p>") } else { String::new() };
+    let mut legend = String::new();
+    if names.len() > 1 {
+        let names = names.into_iter().map(|name| escaped(name)).enumerate();
+        let entries = names.map(|(i, name)| format!("<span><i class=\"mark c{i}\"></i>{name}</span>"));
+        legend = format!("<p class=\"legend\">{}</p>", entries.collect::<String>());
+    }
     format!(
         "<div class=\"curves\"><div class=\"choice\" role=\"radiogroup\" aria-label=\"Horizontal axis\">{}{}</div>{legend}\n\
          <div class=\"charts steps\">\n{steps}</div>\n<div class=\"charts seconds\">\n{seconds}</div></div>\n",
@@ -615,8 +607,8 @@ fn points(log: &FitLog, across: &str, columns: &[&str]) -> Option<Vec<[f64; 2]>>
 fn findings(runs: &[RunReport]) -> String {
     let cell = |FitFinding { what, value, color }: &FitFinding| {
         let swatch =
-            |[r, g, b]: [u8; 3]| format!("<i class=\"swatch\" style=\"background:rgb({r} {g} {b})\"></i>");
-        (what.clone(), color.map(swatch).unwrap_or_default() + &escaped(value))
+            color.map(|[r, g, b]| format!("<i class=\"swatch\" style=\"background:rgb({r} {g} {b})\"></i>"));
+        (what.clone(), swatch.unwrap_or_default() + &escaped(value))
     };
     let rows = named_rows(runs, |run| run.findings.iter().map(cell).collect());
     by_run(runs, "As the fits left it", rows)
@@ -637,8 +629,8 @@ fn passes(runs: &[RunReport]) -> String {
     let rows = named_rows(runs, |run| run.passes.iter().map(cell).collect());
     let mut text = by_run(runs, "Time of each pass; largest memory of the process until its end", rows);
     for (i, run) in runs.iter().enumerate() {
-        let lines = run.said.iter().chain(run.passes.iter().flat_map(|pass| &pass.said));
-        let lines: Vec<&str> = lines.map(String::as_str).collect();
+        let lines = [&run.said].into_iter().chain(run.passes.iter().map(|pass| &pass.said));
+        let lines: Vec<String> = lines.flatten().cloned().collect();
         if !lines.is_empty() {
             text += &text_of(runs, i, runs.len() == 1, "Lines of the run", &lines.join("\n"));
         }
