@@ -7,22 +7,16 @@
 
 mod pack;
 
-use crate::report::html::{escaped, filled};
-use crate::report::tone::MAT;
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
+use crate::{report::html::escaped, report::html::filled, report::tone::MAT};
+use base64::{Engine as _, engine::general_purpose::STANDARD};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
-use lobelia_geometry::mesh::Surface;
 use lobelia_geometry::view::{Camera, PixelWindow, Split};
-use lobelia_sg::brdf::Ndf;
-use lobelia_sg::color::srgb_from_linear;
+use lobelia_geometry::{Result, mesh::Surface};
+use lobelia_sg::{brdf::Ndf, color::srgb_from_linear};
 use lobelia_solve::visibility::ObjectVisibility;
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::light_frame::LightFrame;
-use lobelia_world::material::edit::MaterialState;
 use lobelia_world::material::sheen::has_sheen;
 use lobelia_world::material::tilt::has_tilt;
+use lobelia_world::{light::LightLobe, light::light_frame::LightFrame, material::edit::MaterialState};
 use pack::{Pack, pack_mesh, pack_visibility};
 use serde_json::{Map, Value, json};
 

@@ -11,22 +11,15 @@
 //! is kept for patches of the surface, of which there are at most `MOST_PATCHES`: cells of a grid
 //! in space, divided by the side that the surface faces.
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
-use flate2::Compression;
-use flate2::write::DeflateEncoder;
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+use flate2::{Compression, write::DeflateEncoder};
 use glam::{IVec3, Vec2, Vec3};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::Surface;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_solve::visibility::ObjectVisibility;
-use lobelia_solve::visibility::texel_visibility::TexelVisibility;
-use lobelia_world::material::MAX_SPECULAR_LOBES;
-use lobelia_world::material::edit::MaterialState;
+use lobelia_geometry::{Error, Result, mesh::Surface, mesh::triangles::Mesh};
+use lobelia_solve::{visibility::ObjectVisibility, visibility::texel_visibility::TexelVisibility};
 use lobelia_world::material::sheen::mean_albedo;
+use lobelia_world::{material::MAX_SPECULAR_LOBES, material::edit::MaterialState};
 use serde_json::{Map, Value, json};
-use std::collections::HashMap;
-use std::io::Write as _;
+use std::{collections::HashMap, io::Write as _};
 
 /// Arrays that are packed one after another.
 #[derive(Default)]

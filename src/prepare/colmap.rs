@@ -3,19 +3,13 @@
 use crate::prepare::photographs::{FEWEST, PhotographFile};
 use crate::prepare::work::{Program, Work, make_folder_of, remove, words};
 use crate::prepare::{Matching, PrepareOptions, Prepared};
-use image::codecs::jpeg::JpegEncoder;
-use image::{DynamicImage, GrayImage};
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::error::{Error, Result};
+use image::{DynamicImage, GrayImage, codecs::jpeg::JpegEncoder};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::file::{read_bytes, write_bytes};
 use lobelia_io::codec::image::{decode, image_header};
-use lobelia_io::codec::nearby::missing_file_help;
-use lobelia_io::codec::png_file::write_gray8;
 use lobelia_io::dataset::colmap::{LargestModel, largest_model};
-use std::collections::BTreeSet;
-use std::ffi::{OsStr, OsString};
-use std::fs;
-use std::path::Path;
+use lobelia_io::{codec::nearby::missing_file_help, codec::png_file::write_gray8};
+use std::{collections::BTreeSet, ffi::OsStr, ffi::OsString, fs, path::Path};
 
 /// Help for a missing COLMAP.
 const INSTALL: &str = "Install COLMAP (Debian and Ubuntu: `apt install colmap`; macOS: `brew install colmap`; else see \

@@ -1,18 +1,13 @@
 //! Masks of the photographs, from one of several sources, each checked before it is used.
 
-use crate::pass::progress::Progress;
-use crate::prepare::PrepareOptions;
-use crate::prepare::photographs::PhotographFile;
 use crate::prepare::work::{Program, Work, make_folder_of, remove};
-use image::metadata::Orientation;
-use image::{DynamicImage, GrayImage};
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_io::codec::image::Orientation::AsStored;
+use crate::{pass::progress::Progress, prepare::PrepareOptions, prepare::photographs::PhotographFile};
+use image::{DynamicImage, GrayImage, metadata::Orientation};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::image::{Gamma, image_header, read_image, read_mask};
-use lobelia_io::codec::nearby::missing_file_help;
 use lobelia_io::codec::png_file::write_gray8;
 use lobelia_io::dataset::files::{StemIndex, file_name, find_mask};
+use lobelia_io::{codec::image::Orientation::AsStored, codec::nearby::missing_file_help};
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
@@ -243,9 +238,8 @@ fn by_command(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pass::progress::Silent;
-    use crate::prepare::photographs::{list, place};
     use crate::prepare::tests::{disc, script};
+    use crate::{pass::progress::Silent, prepare::photographs::list, prepare::photographs::place};
     use image::{Luma, Rgba, RgbaImage};
     use std::fs;
     use tempfile::TempDir;

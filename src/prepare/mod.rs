@@ -15,11 +15,9 @@ pub use masks::MaskSource;
 use crate::pass::progress::Progress;
 use colmap::{Colmap, Reconstruction};
 use lobelia_geometry::error::{Error, Result};
-use lobelia_io::codec::file::{lies_in, write_bytes};
-use lobelia_io::dataset::Layout;
+use lobelia_io::{codec::file::lies_in, codec::file::write_bytes, dataset::Layout};
 use photographs::FEWEST;
-use std::fmt;
-use std::path::PathBuf;
+use std::{fmt, path::PathBuf};
 use video::Video;
 use work::Work;
 

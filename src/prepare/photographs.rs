@@ -3,21 +3,15 @@
 //! COLMAP takes pixels as they are stored and ignores EXIF's orientation. So that every other program does the same, a photograph
 //! that EXIF turns is copied with that entry reset; its pixels stay as they are.
 
-use crate::pass::progress::Progress;
-use crate::prepare::work::make_folder_of;
-use image::metadata::Orientation;
-use image::{ImageDecoder, ImageError, ImageFormat, ImageReader};
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::error::{Error, Result};
+use crate::{pass::progress::Progress, prepare::work::make_folder_of};
+use image::{ImageDecoder, ImageError, ImageFormat, ImageReader, metadata::Orientation};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::file::{open, read_bytes, read_folder};
 use lobelia_io::codec::image::Orientation::AsStored;
 use lobelia_io::codec::image::{IMAGE_EXTENSIONS, decode_samples, is_unread_name};
 use lobelia_io::codec::nearby::{missing_file_help, natural_order};
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
-use std::io::Cursor;
-use std::path::{Path, PathBuf};
+use std::{collections::BTreeMap, collections::BTreeSet, fs, io::Cursor, path::Path, path::PathBuf};
 
 /// Fewest photographs that cameras can be found for.
 pub(super) const FEWEST: usize = 3;
@@ -256,8 +250,7 @@ fn unturned(path: &Path) -> Result<Vec<u8>> {
 mod tests {
     use super::*;
     use crate::pass::progress::{RecordedMessages, Silent};
-    use image::codecs::jpeg::JpegEncoder;
-    use image::{ImageEncoder, RgbImage, Rgba, RgbaImage};
+    use image::{ImageEncoder, RgbImage, Rgba, RgbaImage, codecs::jpeg::JpegEncoder};
     use tempfile::TempDir;
 
     /// A little-endian EXIF block with an orientation and a focal length in millimeters.

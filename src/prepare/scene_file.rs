@@ -1,8 +1,7 @@
 //! A commented scene file for a data set: what is known of it, what a fit has to find, and what may be worth changing.
 
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
+use lobelia_geometry::{Error, Result, view::Split};
 use lobelia_io::dataset::{
     DatasetOptions, Layout, OpenDataset, PlannedView, find_layout, has_split, open_dataset,
 };

@@ -6,10 +6,7 @@ use crate::scene::{LoadOptions, load};
 use image::{Rgb, RgbImage};
 use lobelia_geometry::view::Split;
 use lobelia_io::dataset::{DatasetOptions, read_dataset};
-use std::fs;
-use std::io::Write as _;
-use std::os::unix::fs::OpenOptionsExt as _;
-use std::path::Path;
+use std::{fs, io::Write as _, os::unix::fs::OpenOptionsExt as _, path::Path};
 use tempfile::TempDir;
 
 /// An executable shell script.

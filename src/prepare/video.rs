@@ -7,11 +7,8 @@ use crate::prepare::photographs::{FEWEST, VIDEOS};
 use crate::prepare::work::{Program, Work};
 use crate::prepare::{FrameCount, PrepareOptions};
 use lobelia_geometry::error::{Error, Result};
-use lobelia_io::codec::file::{first_bytes, open};
-use lobelia_io::codec::image::is_video_start;
-use std::ffi::OsString;
-use std::path::{Path, PathBuf};
-use std::str::FromStr;
+use lobelia_io::{codec::file::first_bytes, codec::file::open, codec::image::is_video_start};
+use std::{ffi::OsString, path::Path, path::PathBuf, str::FromStr};
 
 /// Help for a missing ffmpeg.
 const INSTALL: &str = "Install ffmpeg (Debian and Ubuntu: `apt install ffmpeg`; macOS: `brew install ffmpeg`), name the program with \
@@ -143,8 +140,7 @@ fn number<T: FromStr>(line: &str, name: &str) -> Option<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pass::progress::Silent;
-    use crate::prepare::tests::{fake_ffmpeg, script};
+    use crate::{pass::progress::Silent, prepare::tests::fake_ffmpeg, prepare::tests::script};
     use std::fs;
 
     fn planned(ffmpeg: PathBuf, frames: FrameCount) -> Result<Video> {

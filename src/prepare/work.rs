@@ -3,15 +3,11 @@
 //! are read meanwhile, and Ctrl-C stops them.
 
 use crate::pass::progress::Progress;
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::file::{FolderLock, is_there, read_folder, write_bytes};
-use std::ffi::{OsStr, OsString};
-use std::fs::{self, File};
-use std::io::{ErrorKind, Read as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::{ffi::OsStr, ffi::OsString, fs, fs::File, io::ErrorKind, io::Read as _, time::Duration};
 
 /// Names of what a prepared data set consists of.
 const FINISHED: [&str; 4] = ["images", "masks", "sparse", "scene.ron"];
@@ -280,8 +276,7 @@ impl Drop for Running {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pass::progress::Silent;
-    use crate::prepare::tests::script;
+    use crate::{pass::progress::Silent, prepare::tests::script};
     use std::time::Instant;
 
     fn claim(out: &Path) -> Result<Work<'static>> {

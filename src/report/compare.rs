@@ -5,8 +5,7 @@ use crate::report::scores::{EvalView, PassScores, Scaling, aligned, score_views}
 use lobelia_geometry::{Error, Result};
 use lobelia_io::codec::file::read_folder;
 use lobelia_io::codec::image::{BRIGHTEST, Gamma, IMAGE_EXTENSIONS, Orientation, read_image};
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::{collections::BTreeMap, path::Path, path::PathBuf};
 
 /// The result of a comparison.
 #[derive(Clone, Debug, PartialEq)]
@@ -164,9 +163,7 @@ fn load_view(name: &str, prediction: &Path, truth: &Path) -> Result<EvalView> {
 mod tests {
     use super::*;
     use image::RgbImage;
-    use lobelia_io::codec::exr::ExrLayers;
-    use lobelia_io::codec::exr_frame::write_channels;
-    use lobelia_io::codec::png_file;
+    use lobelia_io::{codec::exr::ExrLayers, codec::exr_frame::write_channels, codec::png_file};
 
     fn exr(path: &Path, size: [usize; 2], value: impl Fn(usize) -> f32, alpha: Option<Vec<f32>>) {
         let values: Vec<f32> = (0..size[0] * size[1]).map(value).collect();

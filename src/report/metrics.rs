@@ -5,8 +5,7 @@
 //! silhouette, which depend on coverage and not on material, are left out.
 
 use glam::{DVec3, Vec3};
-use lobelia_geometry::view::raster::FULL_COVERAGE;
-use lobelia_geometry::{Error, Result};
+use lobelia_geometry::{Error, Result, view::raster::FULL_COVERAGE};
 use rayon::prelude::*;
 use std::ops::Range;
 

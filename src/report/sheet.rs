@@ -4,8 +4,7 @@
 //! Mazzoleni, 2001), applied three times, which rounds its corners, and then averaged down to the
 //! requested size, so that letters have smooth edges.
 
-use image::imageops::{self, FilterType};
-use image::{Rgb, RgbImage};
+use image::{Rgb, RgbImage, imageops, imageops::FilterType};
 use lobelia_geometry::{Error, Result};
 use lobelia_io::codec::png_file;
 use std::path::Path;

@@ -1,22 +1,17 @@
 //! Linear radiance as pictures: exposure, tone curve, backdrop, 8-bit sRGB; heat maps of errors of
 //! radiance; and small JPEGs for pages, of a size that keeps a page within its budget.
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
+use base64::{Engine as _, engine::general_purpose::STANDARD};
 use glam::{Mat3, Vec3};
-use image::imageops::thumbnail;
-use image::{GrayImage, Rgb, RgbImage};
-use lobelia_geometry::view::Frame;
-use lobelia_geometry::{Error, Result};
-use lobelia_io::codec::file::write_bytes;
-use lobelia_io::codec::image::encode_jpeg;
+use image::{GrayImage, Rgb, RgbImage, imageops::thumbnail};
+use lobelia_geometry::{Error, Result, view::Frame};
 use lobelia_io::codec::png_file::{self, PngRows};
+use lobelia_io::{codec::file::write_bytes, codec::image::encode_jpeg};
 use lobelia_sg::color::{linear_from_srgb, srgb_from_linear};
 use png::ColorType;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
-use std::sync::LazyLock;
+use std::{path::Path, sync::LazyLock};
 
 /// Tone mapping of linear radiance to the range of a display.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -2,8 +2,7 @@
 
 use lobelia_geometry::view::raster::FULL_COVERAGE;
 use lobelia_geometry::view::{Camera, Mask, Photograph, Placement, Split, ViewRecord};
-use lobelia_sg::color::luminance;
-use lobelia_sg::statistics::quantile;
+use lobelia_sg::{color::luminance, statistics::quantile};
 use serde::Serialize;
 
 /// Most pixels along a side of the pictures that are looked at.

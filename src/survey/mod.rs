@@ -29,15 +29,11 @@ use cameras::{Arrangement, Background};
 use estimate::Estimate;
 use glam::Vec3;
 use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::view::Split;
-use lobelia_io::codec::file::write_bytes;
-use lobelia_io::dataset::Layout;
+use lobelia_geometry::{mesh::bvh::TriangleBvh, mesh::triangles::Mesh, view::Split};
+use lobelia_io::{codec::file::write_bytes, dataset::Layout};
 use serde::Serialize;
 use serde_json::json;
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 /// Severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]

@@ -1,14 +1,12 @@
 //! Reading a scene's data for a survey: every view once, small, with few of them in memory at a time.
 
-use crate::report::sheet::choose_evenly;
 use crate::scene::{Dataset, Pass, Scene, Surface, ViewChoice, Views};
 use crate::survey::cameras::{BACKGROUND_SIDE, BACKGROUNDS, Background};
 use crate::survey::look::{MaskOrigin, SmallMask, ViewLook};
-use crate::survey::{Survey, examine};
+use crate::{report::sheet::choose_evenly, survey::Survey, survey::examine};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
-use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
 use lobelia_geometry::view::{Photograph, Split, ViewPriors, ViewRecord};
+use lobelia_geometry::{Result, mesh::primitive::box_mesh, mesh::primitive::sphere_mesh};
 use lobelia_io::codec::gltf::import::read_mesh;
 use lobelia_io::codec::image::{Gamma, Orientation, read_image};
 use lobelia_io::dataset::{

@@ -5,10 +5,9 @@ use crate::survey::cameras::{Arrangement, Background, check_meeting, sameness};
 use crate::survey::estimate::{Estimate, FIT_PAIR_NANOS, duration, estimate, memory};
 use crate::survey::{MaskOrigin, Severity, Survey, ViewLook, examine, named, table};
 use glam::{Mat3A, Vec3, Vec3A};
-use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
-use lobelia_geometry::mesh::triangles::Mesh;
 use lobelia_geometry::view::{Camera, Image, Mask, Photograph, Placement, Split, StoredMask, ViewRecord};
+use lobelia_geometry::{mesh::bvh::TriangleBvh, mesh::triangles::Mesh};
 use lobelia_sg::fibonacci::fibonacci_axes;
 use std::sync::OnceLock;
 

@@ -6,16 +6,13 @@
 use super::terminal::print;
 use clap::Args;
 use lobelia::codec::file::{check_writable, write_bytes};
-use lobelia::sg::accurate::Quality;
-use lobelia::sg::brdf::Ndf;
-use lobelia::sg::lanes::level_name;
 use lobelia::sg::shading::{
     ChunkSums, ClosedForm, Cpu, Layers, Lighting, PairLoops, PointAdjoint, RadianceAdjoint, RadianceColumns,
     ShadeCall, ShadePoint,
 };
-use lobelia::sg::workload::Workload;
 use lobelia::shade::device::ShadingDevice;
 use lobelia::{Error, Result};
+use lobelia::{sg::accurate::Quality, sg::brdf::Ndf, sg::lanes::level_name, sg::workload::Workload};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

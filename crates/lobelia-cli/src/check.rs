@@ -3,7 +3,6 @@
 use super::start::{SceneArgs, ThreadArgs, load_options, start_threads};
 use super::terminal::print;
 use clap::Args;
-use lobelia::codec::file::{FileUse, check_writable};
 use lobelia::pass::memory::{usual_budget, within};
 use lobelia::pass::preflight::{check_outputs, check_sizes};
 use lobelia::pass::progress::{RecordedMessages, Silent};
@@ -12,10 +11,8 @@ use lobelia::scene::{LoadOptions, LoadedScene, Pass, Scene, Surface, Views, load
 use lobelia::survey::estimate::{Estimate, estimate};
 use lobelia::survey::open::{OpenScene, survey};
 use lobelia::survey::{Finding, Severity, Survey, table};
-use lobelia::view::ViewRecord;
-use lobelia::{Error, Result};
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use lobelia::{Error, Result, codec::file::FileUse, codec::file::check_writable, view::ViewRecord};
+use std::{fmt::Write as _, path::Path, path::PathBuf};
 
 /// The survey.
 const JSON: &str = "survey.json";

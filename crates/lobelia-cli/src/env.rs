@@ -6,23 +6,17 @@ use clap::{Args, Subcommand};
 use glam::{DVec3, EulerRot, Quat, Vec3};
 use image::{Rgb, RgbImage, imageops};
 use lobelia::codec::file::{check_writable, is_there};
-use lobelia::codec::npy::NpyConvention;
 use lobelia::codec::png_file::{software_of, write_rgb8, write_rgb8_by};
-use lobelia::error::stop::is_stopping;
 use lobelia::light::convention::MapConvention;
 use lobelia::light::map_fit::{MapFit, MapFitProgress, MapFitReport, fit_map_with, target_of};
 use lobelia::light::{EnvironmentMap, LightLobe, lobes_power, lobes_radiance, render_lobes};
-use lobelia::pass::progress::Progress;
 use lobelia::report::sheet::{draw_text, line_height};
 use lobelia::report::tone::{Tone, srgb8};
 use lobelia::sg::color::luminance;
 use lobelia::shade::frame::check_memory;
 use lobelia::spawn::light::{LightConventions, LightFile, check_lit, files_of, read_light, read_map};
-use lobelia::{Error, Result};
-use std::f64::consts::PI;
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
-use std::time::Instant;
+use lobelia::{Error, Result, codec::npy::NpyConvention, error::stop::is_stopping, pass::progress::Progress};
+use std::{f64::consts::PI, fmt::Write as _, path::Path, path::PathBuf, time::Instant};
 
 /// The end of the help.
 pub const EXAMPLES: &str = "\

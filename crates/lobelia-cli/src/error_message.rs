@@ -2,9 +2,9 @@
 
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Element, Group, Level, Origin, Renderer, Snippet};
-use lobelia::Error;
-use lobelia::error::stop::{StopSignal, stopped_by};
-use lobelia::error::{Fault, SceneDiagnostic};
+use lobelia::{
+    Error, error::Fault, error::SceneDiagnostic, error::stop::StopSignal, error::stop::stopped_by,
+};
 use std::io::IsTerminal;
 
 /// Columns of a report; longer sentences are wrapped.

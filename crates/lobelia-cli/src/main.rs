@@ -20,10 +20,8 @@ mod start;
 mod terminal;
 mod view;
 
-use clap::error::{ContextKind, ContextValue};
-use clap::{Parser, Subcommand};
-use std::io::Write as _;
-use std::process::ExitCode;
+use clap::{Parser, Subcommand, error::ContextKind, error::ContextValue};
+use std::{io::Write as _, process::ExitCode};
 
 const EXAMPLES: &str = "\
 Examples:

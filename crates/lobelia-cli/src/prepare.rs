@@ -3,12 +3,9 @@
 use super::start::{Choices, ThreadArgs, choices, start_threads, stop_on_signals};
 use super::terminal::{Terminal, print};
 use clap::Args;
-use lobelia::codec::file::write_bytes;
-use lobelia::dataset::Layout;
-use lobelia::pass::progress::Progress;
 use lobelia::prepare::scene_file::scene_for;
 use lobelia::prepare::{FrameCount, MaskSource, Matching, PrepareOptions, prepare};
-use lobelia::{Error, Result};
+use lobelia::{Error, Result, codec::file::write_bytes, dataset::Layout, pass::progress::Progress};
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "\

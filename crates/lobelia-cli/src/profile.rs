@@ -1,20 +1,13 @@
 //! `lobelia run --profile`: where the time goes, by the `tracing` spans of passes, stages, schedules and systems.
 
 use lobelia::{Error, Result};
-use std::collections::HashMap;
-use std::fmt;
-use std::fs::File;
-use std::io::{self, Seek as _, Write as _};
-use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use tracing::field::{Field, Visit};
-use tracing::span::{Attributes, Id};
-use tracing::subscriber::set_global_default;
+use std::{collections::HashMap, fmt, fs::File, io, io::Seek as _, io::Write as _, path::Path};
+use tracing::{field::Field, field::Visit, span::Attributes, span::Id, subscriber::set_global_default};
 use tracing_chrome::{ChromeLayerBuilder, EventOrSpan, FlushGuard};
-use tracing_subscriber::Layer;
 use tracing_subscriber::layer::{Context, Layered, SubscriberExt};
-use tracing_subscriber::registry::{LookupSpan, Registry};
+use tracing_subscriber::{Layer, registry::LookupSpan, registry::Registry};
 
 /// The table, in the output folder.
 const TABLE: &str = "profile.txt";

@@ -1,16 +1,11 @@
 //! `lobelia report`: a run as a page, or several side by side as a table, as CSV, or as one page; and `lobelia eval`: pictures compared.
 
-use super::start::refuse_foreign;
-use super::terminal::print;
+use super::{start::refuse_foreign, terminal::print};
 use clap::Args;
-use lobelia::codec::file::write_bytes;
 use lobelia::pass::summary::{csv_of_runs, read_run, table_of_runs};
-use lobelia::report::compare::compare;
 use lobelia::report::html::{REPORT, SIGNATURE, html};
-use lobelia::report::scores::Scaling;
-use lobelia::{Error, Result};
-use std::collections::HashSet;
-use std::path::PathBuf;
+use lobelia::{Error, Result, codec::file::write_bytes, report::compare::compare, report::scores::Scaling};
+use std::{collections::HashSet, path::PathBuf};
 
 /// Sets runs side by side, by their scores, times and states: a table on the terminal, or CSV with --csv.
 ///

@@ -1,15 +1,11 @@
 //! `lobelia run`: the passes of a scene file, in their order.
 
-use super::profile::Profiler;
 use super::start::{Choices, SceneArgs, ThreadArgs, choices, load_options, start_threads, stop_on_signals};
-use super::terminal::{JsonLog, Terminal};
+use super::{profile::Profiler, terminal::JsonLog, terminal::Terminal};
 use clap::Args;
-use lobelia::Result;
-use lobelia::pass::memory::usual_budget;
-use lobelia::pass::progress::Progress;
-use lobelia::pass::{self, RunOptions};
 use lobelia::scene::load;
 use lobelia::shade::device::ShadingDevice;
+use lobelia::{Result, pass, pass::RunOptions, pass::memory::usual_budget, pass::progress::Progress};
 use std::path::{Path, PathBuf};
 
 /// Runs the passes of a scene file in their order.

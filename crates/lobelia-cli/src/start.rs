@@ -4,9 +4,7 @@
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use lobelia::codec::file::{FileUse, check_apart, is_there, read_bytes};
-use lobelia::error::stop::{StopSignal, ask_to_stop};
-use lobelia::scene::LoadOptions;
-use lobelia::{Error, Result};
+use lobelia::{Error, Result, error::stop::StopSignal, error::stop::ask_to_stop, scene::LoadOptions};
 use std::path::{Path, PathBuf};
 
 const SET_LONG: &str = "\

@@ -3,14 +3,10 @@
 use super::start::{ThreadArgs, refuse_foreign, start_threads};
 use super::terminal::Terminal;
 use clap::Args;
-use lobelia::codec::npy::NpyConvention;
-use lobelia::glam::Vec3;
 use lobelia::light::convention::MapConvention;
 use lobelia::pass::progress::Progress;
-use lobelia::pass::view::PAGE;
-use lobelia::pass::write_view;
 use lobelia::scene::{LightSource, LoadOptions, LoadedScene, ViewPass, Views, load};
-use lobelia::{Error, Result};
+use lobelia::{Error, Result, codec::npy::NpyConvention, glam::Vec3, pass::view::PAGE, pass::write_view};
 use std::path::{Path, PathBuf};
 
 /// Writes OUT/view.html: one page that shows the object that a run saved, and needs nothing else, no server and no network.
