@@ -48,9 +48,6 @@ pub(super) struct Colmap {
 
 impl Colmap {
     /// Looks for the program and asks for its options.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] that says how to install it.
     pub fn find(path: &Path) -> Result<Self> {
         let program = Program { path: path.to_owned(), install: INSTALL };
         let help = program.help(&["feature_extractor", "-h"])?;
@@ -78,9 +75,6 @@ pub(super) struct Reconstruction<'a> {
 
 impl Reconstruction<'_> {
     /// Does all steps. What they make lies in `data` of `work`, as `images`, `masks` and `sparse`.
-    ///
-    /// # Errors
-    /// Errors of [`prepare`](crate::prepare::prepare).
     pub fn run(&self, work: &mut Work) -> Result<Prepared> {
         let Self { options, photographs, .. } = self;
         let gpu = if options.gpu { "1" } else { "0" };

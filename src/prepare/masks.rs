@@ -74,9 +74,6 @@ impl MaskSource {
     }
 
     /// Writes the mask of each photograph as `masks/NAME.png` of `work`, gray, of the photograph's size.
-    ///
-    /// # Errors
-    /// [`Error::Input`] that names the photograph if its mask is missing, of another size, or all black or white; errors of the command.
     pub(super) fn write(&self, photographs: &[PhotographFile], work: &Work) -> Result<()> {
         let images = work.path("photographs");
         let bar = work.progress.bar("masks", photographs.len() as u64);
@@ -194,8 +191,7 @@ fn as_stored(mask: GrayImage, photograph: &PhotographFile) -> GrayImage {
     turned.into_luma8()
 }
 
-/// The mask that a command makes of a photograph. Errors are about the photograph: the files that
-/// the command sees are of no use to anyone.
+/// The mask that a command makes of a photograph. Errors are about the photograph: the files that the command sees are of no use to anyone.
 fn by_command(
     command: &str,
     photograph: &PhotographFile,

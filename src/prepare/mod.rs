@@ -57,8 +57,7 @@ pub struct PrepareOptions {
     pub out: PathBuf,
     /// Where masks come from.
     pub masks: MaskSource,
-    /// Whether cameras are found by the object alone, where there are masks: it turns before a
-    /// camera that stands still.
+    /// Whether cameras are found by the object alone, where there are masks: it turns before a camera that stands still.
     pub object_features: bool,
     /// Which pairs of photographs are matched.
     pub matching: Matching,

@@ -47,13 +47,8 @@ fn damaged(path: &Path) -> impl Fn(ImageError) -> Error + '_ {
     move |error| Error::input(path, "", format!("the photograph cannot be read: {error}"), DAMAGED_HELP)
 }
 
-/// Lists the photographs of a folder, its JPEG and PNG files, in natural order of their names;
-/// notes say what is left out. Where their sizes or focal lengths differ, `name` has a folder for
-/// each.
-///
-/// # Errors
-/// [`Error::Input`] if the folder is missing, has fewer than three photographs, or one of them is damaged or not what its name says;
-/// or if two have the same name but for the extension.
+/// Lists the photographs of a folder, its JPEG and PNG files, in natural order of their names; notes say what is left out. Where their
+/// sizes or focal lengths differ, `name` has a folder for each.
 pub(super) fn list(folder: &Path, progress: &dyn Progress) -> Result<Vec<PhotographFile>> {
     let (mut files, mut others) = (Vec::new(), BTreeMap::<String, usize>::new());
     for entry in read_folder(folder)? {
@@ -168,10 +163,6 @@ fn focal_length(chunk: Vec<u8>) -> Option<u32> {
 }
 
 /// Decodes every photograph, some at once: COLMAP would take what is left of one that is cut off for the whole.
-///
-/// # Errors
-/// [`Error::Input`] that names the first photograph that is damaged, cut off or of a kind that is not read; [`Error::Interrupted`] after
-/// Ctrl-C.
 pub(super) fn check_pixels(photographs: &[PhotographFile], progress: &dyn Progress) -> Result<()> {
     let bar = progress.bar("photographs", photographs.len() as u64);
     // Up to four channels of 8 or 16 bits.
@@ -198,9 +189,6 @@ pub(super) fn check_pixels(photographs: &[PhotographFile], progress: &dyn Progre
 }
 
 /// Puts the photographs under their names into `folder`, as links where that is possible.
-///
-/// # Errors
-/// [`Error::Io`] if one cannot be copied, [`Error::Input`] if one that EXIF turns is damaged.
 pub(super) fn place(photographs: &[PhotographFile], folder: &Path) -> Result<()> {
     for photograph in photographs {
         let to = folder.join(&photograph.name);

@@ -14,9 +14,8 @@ const ENOUGH_PIXELS: u32 = 1600;
 /// Fewest views of which some are held out.
 const FEWEST_HELD_OUT: usize = 12;
 
-/// The scene file `scene` for the data set in `data`, as text; it loads, and `lobelia check`
-/// passes. It follows from the camera files and from the first photograph with its mask. A path in
-/// it starts at `scene` if that is inside `data`, else at `$DATA`.
+/// The scene file `scene` for the data set in `data`, as text; it loads, and `lobelia check` passes. It follows from the camera files and
+/// from the first photograph with its mask. A path in it starts at `scene` if that is inside `data`, else at `$DATA`.
 ///
 /// # Errors
 /// [`Error::Input`] if the folder is no data set, its first view cannot be read, or it has neither

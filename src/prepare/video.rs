@@ -41,10 +41,6 @@ pub(super) struct Video {
 
 impl Video {
     /// Counts the frames and chooses how many are used.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] if ffmpeg is missing; [`Error::Input`] if the file cannot be read, or
-    /// ffmpeg finds no frames in it, or fewer than are asked for.
     pub fn plan(options: &PrepareOptions) -> Result<Self> {
         let video = &options.photographs;
         let ffmpeg = Program { path: options.ffmpeg.clone(), install: INSTALL };
@@ -92,11 +88,7 @@ impl Video {
         Ok(format!("{:?} {bytes} bytes, {} of {} frames", self.path, self.used, self.total))
     }
 
-    /// Writes the frames, as `000001.jpg`…, into the folder `frames`. They are upright: ffmpeg
-    /// turns them as the video says.
-    ///
-    /// # Errors
-    /// Errors of [`Program::run`].
+    /// Writes the frames, as `000001.jpg`…, into the folder `frames`. They are upright: ffmpeg turns them as the video says.
     pub fn extract(&self, work: &Work) -> Result<()> {
         let Self { ffmpeg, path, total, used } = self;
         let frames = work.emptied("frames")?;

@@ -1,6 +1,5 @@
-//! The output folder of a preparation: nothing gets its final name before all of it is done, and
-//! what was done is not done again. And other programs at work: their output goes to log files that
-//! are read meanwhile, and Ctrl-C stops them.
+//! The output folder of a preparation: nothing gets its final name before all of it is done, and what was done is not done again. And other
+//! programs at work: their output goes to log files that are read meanwhile, and Ctrl-C stops them.
 
 use crate::pass::progress::Progress;
 use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
@@ -29,10 +28,6 @@ pub(super) struct Work<'a> {
 
 impl<'a> Work<'a> {
     /// Takes `out`, which is new, empty, or holds work in progress.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] if there is anything else in it or another process works there,
-    /// [`Error::Input`] if it is a file, [`Error::Io`] if it cannot be written.
     pub fn claim(out: &Path, progress: &'a dyn Progress) -> Result<Self> {
         let mut names = Vec::new();
         if is_there(out) {
@@ -69,9 +64,6 @@ impl<'a> Work<'a> {
     }
 
     /// Does a step, unless it was done with the same settings before, and so were all steps before it.
-    ///
-    /// # Errors
-    /// Errors of `step`; [`Error::Io`] if its completion cannot be recorded.
     pub fn step(&mut self, name: &str, settings: &str, step: impl FnOnce(&Self) -> Result<()>) -> Result<()> {
         self.settings += &format!("{name}: {settings}\n");
         let stamp = self.path(&format!("{name}.done"));
@@ -85,9 +77,6 @@ impl<'a> Work<'a> {
     }
 
     /// Runs a program under a bar of `length` steps; `done` reads from a line of its output how many are finished.
-    ///
-    /// # Errors
-    /// Errors of [`Program::run`].
     pub fn run(
         &self,
         name: &str,
@@ -112,9 +101,6 @@ impl<'a> Work<'a> {
     }
 
     /// Gives finished work its final name. What already has it, from an earlier run that was stopped, stays.
-    ///
-    /// # Errors
-    /// [`Error::Io`] if it cannot be renamed.
     pub fn publish(&self, from: &str, name: &str) -> Result<()> {
         let (from, to) = (self.path(from), self.out.join(name));
         if !from.exists() && to.exists() {
@@ -173,21 +159,12 @@ pub(super) struct Program {
 
 impl Program {
     /// The program's help: both streams, whatever its exit status.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] that says how to install it if it cannot be started.
     pub fn help(&self, arguments: &[&str]) -> Result<String> {
         let output = self.command().args(arguments).output().map_err(|error| self.cannot_start(&error))?;
         Ok(String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned())
     }
 
-    /// Runs the program to its end. `watch` gets each line of its output soon after it is written;
-    /// `log` keeps them all.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] if it cannot be started, [`Error::Run`] with its last lines if it fails,
-    /// [`Error::Interrupted`] after Ctrl-C (the program is stopped), [`Error::Io`] if the log
-    /// cannot be written.
+    /// Runs the program to its end. `watch` gets each line of its output soon after it is written; `log` keeps them all.
     pub fn run(&self, arguments: &[OsString], log: &Path, mut watch: impl FnMut(&str)) -> Result<()> {
         let file = File::create(log).map_err(Error::io("write", log))?;
         let twin = file.try_clone().map_err(Error::io("write", log))?;

@@ -109,14 +109,12 @@ const C1: f64 = 0.01 * 0.01;
 /// (K₂ L)² with K₂ = 0.03, L = 1.
 const C2: f64 = 0.03 * 0.03;
 
-/// Mean structural similarity (Wang, Bovik, Sheikh and Simoncelli, "Image Quality Assessment", IEEE
-/// TIP 2004, eq. 13) over the three channels and the pixels that count, in linear light, for a
-/// dynamic range of 1.
+/// Mean structural similarity (Wang, Bovik, Sheikh and Simoncelli, "Image Quality Assessment", IEEE TIP 2004, eq. 13) over the three
+/// channels and the pixels that count, in linear light, for a dynamic range of 1.
 ///
-/// Both images are clipped to `[0, 1]` and black outside the mask, so that no pixel outside the mask has an effect.
-/// The similarity map is then computed over the whole image, with windows reflected at the border (… b a | a b …), and
-/// averaged over the pixels that count. The window is an 11×11 Gaussian of σ 1.5, normalized to 1; variances are not
-/// bias-corrected, as in the original.
+/// Both images are clipped to `[0, 1]` and black outside the mask, so that no pixel outside the mask has an effect. The similarity map is
+/// then computed over the whole image, with windows reflected at the border (… b a | a b …), and averaged over the pixels that count. The
+/// window is an 11×11 Gaussian of σ 1.5, normalized to 1; variances are not bias-corrected, as in the original.
 pub fn ssim(pair: &ImagePair) -> f64 {
     let value = |pixel: usize, channel: usize| {
         let clipped = |pixels: &[Vec3]| f64::from(pixels[pixel][channel]).clamp(0.0, 1.0);
@@ -125,9 +123,8 @@ pub fn ssim(pair: &ImagePair) -> f64 {
     ssim_of([pair.width, pair.height], |pixel| pair.mask[pixel], value)
 }
 
-/// The SSIM of pictures that are computed as they are needed: `value(pixel, channel)` is the
-/// prediction and the truth, in `[0, 1]`, and `counts(pixel)` whether a pixel counts; at least one
-/// must. Values are asked for several times.
+/// The SSIM of pictures that are computed as they are needed: `value(pixel, channel)` is the prediction and the truth, in `[0, 1]`, and
+/// `counts(pixel)` whether a pixel counts; at least one must. Values are asked for several times.
 pub(super) fn ssim_of(
     size: [usize; 2],
     counts: impl Fn(usize) -> bool + Sync,

@@ -1,10 +1,9 @@
 //! Scores as published tables have them: of sRGB values in a mask that is not eroded and of whole
 //! pictures on white and on black ([`SrgbScores`]), and those of Stanford-ORB ([`OrbScores`]).
 //!
-//! NeRF's synthetic photographs are RGBA with straight, encoded colors; its tables are of those
-//! colors over a background, blended as they are encoded: encoded · α + background · (1 − α).
-//! Tables "in the mask", as IDR's and NeuS's, are of pixels at least half covered. Everything is
-//! computed pixel by pixel, so that no picture is copied.
+//! NeRF's synthetic photographs are RGBA with straight, encoded colors; its tables are of those colors over a background, blended as they
+//! are encoded: encoded · α + background · (1 − α). Tables "in the mask", as IDR's and NeuS's, are of pixels at least half covered.
+//! Everything is computed pixel by pixel, so that no picture is copied.
 
 use crate::report::metrics::{eroded, mean, psnr_of_mse, ssim_of};
 use glam::{DVec3, Vec3};
@@ -111,14 +110,12 @@ const MOST_RADIANCE: f32 = 4.0;
 /// Value of the gray picture whose PSNR is the floor of every score.
 const GRAY: f64 = 0.5;
 
-/// Scores as Stanford-ORB has them (Kuang et al., NeurIPS 2023), of a picture, or their means over
-/// pictures: PSNR-H and PSNR-L of a picture whose channels are scaled to the truth, each picture by
-/// itself.
+/// Scores as Stanford-ORB has them (Kuang et al., NeurIPS 2023), of a picture, or their means over pictures: PSNR-H and PSNR-L of a picture
+/// whose channels are scaled to the truth, each picture by itself.
 ///
-/// Only the mask counts, eroded by two pixels, but squares are divided by all pixels of the
-/// picture. For PSNR-H both pictures are brightened by one factor, the mean of the truth encoded as
-/// sRGB over its mean in linear light, and cut at 4; for PSNR-L they are cut at 1 and encoded as
-/// sRGB. No score is less than that of a gray of 0.5.
+/// Only the mask counts, eroded by two pixels, but squares are divided by all pixels of the picture. For PSNR-H both pictures are
+/// brightened by one factor, the mean of the truth encoded as sRGB over its mean in linear light, and cut at 4; for PSNR-L they are cut at
+/// 1 and encoded as sRGB. No score is less than that of a gray of 0.5.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct OrbScores {
     /// PSNR-H: of linear radiance, dB.

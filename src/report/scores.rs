@@ -130,8 +130,7 @@ pub(crate) fn given_up_words(given_up: Option<u32>) -> String {
     given_up.map_or(String::new(), |steps| format!(" (given up after {steps} steps)"))
 }
 
-/// Grounds of a fit's choice of base materials: mean absolute errors of radiance after the same
-/// steps over the same pixels.
+/// Grounds of a fit's choice of base materials: mean absolute errors of radiance after the same steps over the same pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MaterialsTried {
     /// With one base material.
@@ -148,9 +147,8 @@ pub struct MaterialsTried {
     pub seconds: f64,
 }
 
-/// Grounds of a fit's choice of the distribution of microfacet normals: mean absolute errors of
-/// radiance over the same pixels, after steps with one distribution and then as many with each of
-/// the two.
+/// Grounds of a fit's choice of the distribution of microfacet normals: mean absolute errors of radiance over the same pixels, after steps
+/// with one distribution and then as many with each of the two.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct NdfTried {
     /// With GGX.
@@ -258,10 +256,6 @@ pub struct Scores {
 
 /// Scores `count` views. `load(i)` gives view `i`; it is called once for each view, and once more before that for the
 /// scale, if there is one of all views, so that at most one view is in memory.
-///
-/// # Errors
-/// Errors of `load`; [`Error::Run`] for no views, lists of the wrong length, empty masks or
-/// non-finite pixels.
 pub(crate) fn score_views(
     count: usize,
     scaling: Scaling,
@@ -331,8 +325,7 @@ pub(crate) fn score_views(
 }
 
 impl PassScores {
-    /// The prediction of `view` with the scale of these scores, for contact sheets
-    /// and error maps.
+    /// The prediction of `view` with the scale of these scores, for contact sheets and error maps.
     pub(crate) fn scored_prediction(&self, view: &EvalView) -> Vec<Vec3> {
         let own = self.views.iter().find(|scores| scores.name == view.name).and_then(|scores| scores.scale);
         view.scaled(own.unwrap_or(self.scale), self.scale_specular)
@@ -358,9 +351,8 @@ impl Scores {
         file::write_bytes(path.as_ref(), text.as_bytes())
     }
 
-    /// A table for the terminal, one line per pass; a second one of sRGB scores below a blank line,
-    /// if there are any; a line for each pass that is scored as Stanford-ORB does; and a line for
-    /// the rest. Ends with a line break.
+    /// A table for the terminal, one line per pass; a second one of sRGB scores below a blank line, if there are any; a line for each pass
+    /// that is scored as Stanford-ORB does; and a line for the rest. Ends with a line break.
     pub fn table(&self) -> String {
         let heads = ["in sRGB", "mask dB", "white dB", "SSIM", "black dB", "SSIM"];
         let (mut srgb, mut rest) = (vec![heads.map(str::to_owned)], String::new());

@@ -1,8 +1,7 @@
 //! Contact sheets: rows of labeled pictures under headings, as one PNG; and the text on them.
 //!
-//! Text is of a built-in 5×7 bitmap font. Each glyph is enlarged eightfold by the Scale2x rule (A.
-//! Mazzoleni, 2001), applied three times, which rounds its corners, and then averaged down to the
-//! requested size, so that letters have smooth edges.
+//! Text is of a built-in 5×7 bitmap font. Each glyph is enlarged eightfold by the Scale2x rule (A. Mazzoleni, 2001), applied three times,
+//! which rounds its corners, and then averaged down to the requested size, so that letters have smooth edges.
 
 use image::{Rgb, RgbImage, imageops, imageops::FilterType};
 use lobelia_geometry::{Error, Result};
@@ -48,9 +47,6 @@ pub(crate) fn choose_evenly(count: usize, most: usize) -> Vec<usize> {
 }
 
 /// Writes a sheet under a large title and a small line as a PNG.
-///
-/// # Errors
-/// [`Error::Run`] if the sheet would be over 32 000 pixels wide or high; [`Error::Io`] if the file cannot be written.
 pub(crate) fn write_sheet(path: &Path, title: &str, subtitle: &str, rows: &[SheetRow]) -> Result<()> {
     png_file::write_rgb8(path, &compose(title, subtitle, rows)?)
 }
@@ -107,8 +103,7 @@ const ROWS: usize = 8;
 /// Enlargement before averaging down.
 const FINE: usize = 8;
 
-/// Glyphs from the space to the tilde: five bytes are the columns from left to right, of which bit 0 is the top row, bit 7 the
-/// descender's.
+/// Glyphs from the space to the tilde: five bytes are the columns from left to right, of which bit 0 is the top row, bit 7 the descender's.
 #[rustfmt::skip]
 const GLYPHS: [u64; 95] = [
     0x0000000000, 0x00005F0000, 0x0007000700, 0x147F147F14, 0x242A7F2A12, 0x2313086462, 0x3649562050,

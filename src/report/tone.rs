@@ -158,9 +158,6 @@ impl<'a> Picture<'a> {
     }
 
     /// The picture on the mat.
-    ///
-    /// # Errors
-    /// Errors of [`Picture::samples8`].
     pub(crate) fn on_mat(&self) -> Result<RgbImage> {
         let mat = Vec3::from(MAT.map(|byte| linear_from_srgb(f32::from(byte) / 255.0)));
         let samples = self.samples8(&Look::default(), Backdrop::Solid(mat))?;
@@ -246,10 +243,9 @@ pub(crate) fn heat_color(value: f32) -> [u8; 3] {
 /// The error at the end of the scale of error maps.
 pub(crate) const LARGEST_ERROR: f32 = 0.25;
 
-/// Map of the errors of a prediction, on a scale that is the same for all pictures: the color at
-/// the root of error / [`LARGEST_ERROR`], so that small errors are seen and large ones told apart.
-/// An error is the mean absolute difference of the channels, both values clipped to `[0, 1]`, in
-/// linear light. Pixels with zero coverage show the mat.
+/// Map of the errors of a prediction, on a scale that is the same for all pictures: the color at the root of error / [`LARGEST_ERROR`], so
+/// that small errors are seen and large ones told apart. An error is the mean absolute difference of the channels, both values clipped to
+/// `[0, 1]`, in linear light. Pixels with zero coverage show the mat.
 pub(crate) fn error_map(
     [width, height]: [usize; 2],
     [prediction, truth]: [&[Vec3]; 2],
@@ -297,18 +293,12 @@ pub(crate) fn thumbnail_mask(mask: &GrayImage, side: u32) -> GrayImage {
 }
 
 /// The picture as a JPEG whose longer side is at most `side` pixels; it is never enlarged.
-///
-/// # Errors
-/// [`Error::Run`] for a picture without pixels.
 pub(crate) fn thumbnail_jpeg(picture: &RgbImage, side: u32) -> Result<Vec<u8>> {
     let small = smaller(picture.dimensions(), side).map(|(w, h)| thumbnail(picture, w, h));
     encode_jpeg(small.as_ref().unwrap_or(picture), QUALITY)
 }
 
 /// Writes [`thumbnail_jpeg`] to a file.
-///
-/// # Errors
-/// Errors of [`thumbnail_jpeg`]; [`Error::Io`] if the file cannot be written.
 pub(crate) fn write_thumbnail(path: &Path, picture: &RgbImage, side: u32) -> Result<()> {
     write_bytes(path, &thumbnail_jpeg(picture, side)?)
 }

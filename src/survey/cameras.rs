@@ -64,8 +64,7 @@ impl Sight {
     }
 }
 
-/// The point with the least sum of distances to all lines, so that a few wrong ones do not affect it;
-/// `None` if they are parallel.
+/// The point with the least sum of distances to all lines, so that a few wrong ones do not affect it; `None` if they are parallel.
 pub(super) fn meeting_point(sights: &[Sight]) -> Option<DVec3> {
     let base = sights.iter().map(|sight| sight.origin).sum::<DVec3>() / sights.len() as f64;
     let mut weights = vec![1.0; sights.len()];
@@ -95,11 +94,6 @@ pub(super) fn meeting_point(sights: &[Sight]) -> Option<DVec3> {
 
 /// Checks that training cameras see one point, by the rays through the centers of the masks' bounding boxes, which nearly meet in one
 /// point of the object.
-///
-/// # Errors
-/// [`Error::Usage`] that names a view and a remedy: fewer than three masks, a mask that is all covered, an
-/// object cut by every frame, views along one line, a camera inside the object, cameras that look away
-/// from it, or cameras and masks that are inconsistent.
 pub(super) fn check_meeting(looks: &[ViewLook]) -> Result<()> {
     let views = || looks.iter().filter(|look| look.split == Split::Train);
     let masked: Vec<&ViewLook> = views().filter(|view| view.mask.is_some()).collect();
@@ -173,8 +167,7 @@ pub(super) fn check_meeting(looks: &[ViewLook]) -> Result<()> {
     Err(Error::usage(problem, "Correct that view's pose or mask, or leave it out with `select`."))
 }
 
-/// Distance of the projection of `point` from the mask's box, in sizes of the box; infinity behind the
-/// camera, 0 outside the frame.
+/// Distance of the projection of `point` from the mask's box, in sizes of the box; infinity behind the camera, 0 outside the frame.
 fn stray(view: &ViewLook, point: Vec3) -> f32 {
     let Some(PixelBounds { low, high }) = view.mask.as_ref().and_then(|mask| mask.bounds) else { return 0.0 };
     let Some((x, y, _)) = view.camera.project(point) else { return f32::INFINITY };

@@ -42,8 +42,7 @@ pub struct ViewLook {
     pub mask_source: MaskOrigin,
     /// The mask, unless there is none.
     pub mask: Option<MaskLook>,
-    /// Intersection over union of the mask with the silhouette of the known mesh, or of the visual hull
-    /// of all masks; set by a survey.
+    /// Intersection over union of the mask with the silhouette of the known mesh, or of the visual hull of all masks; set by a survey.
     pub overlap: Option<f32>,
     /// Exposure above that of views from nearly the same side, in stops; set by a survey.
     pub stops: Option<f32>,
@@ -210,8 +209,7 @@ impl MaskLook {
 }
 
 impl SmallMask {
-    /// A mask and its camera, shrunk by a whole factor until neither side is over `side`; a pixel is
-    /// covered if most of its block is.
+    /// A mask and its camera, shrunk by a whole factor until neither side is over `side`; a pixel is covered if most of its block is.
     fn of(mask: &Mask, camera: &Camera, frame: [f32; 2], side: u32) -> Self {
         let factor = mask.width.max(mask.height).div_ceil(side).max(1);
         let small = mask.downscaled(factor);

@@ -103,8 +103,7 @@ impl<'a> OpenScene<'a> {
 /// record without the pixels of the photograph, and without the mask unless the surface is made of it.
 ///
 /// # Errors
-/// Errors of [`OpenScene::new`]; the first, in the order of the views, of reading photographs and
-/// masks; errors of reading the mesh.
+/// Errors of [`OpenScene::new`]; the first, in the order of the views, of reading photographs and masks; errors of reading the mesh.
 pub fn survey(scene: &Scene) -> Result<Option<(Survey, Vec<ViewRecord>)>> {
     let Some(open) = OpenScene::new(scene)? else { return Ok(None) };
     let needs_masks = matches!(scene.surface, Surface::Unknown { .. });

@@ -82,8 +82,7 @@ fn inverted(looks: &[ViewLook]) -> Option<Finding> {
     is_there.then(|| Finding::new(severity, "inverted-masks", views, problem, help))
 }
 
-/// Views without masks. Where no view has one, that is a warning beside a mesh, and an error of the
-/// cameras without a mesh.
+/// Views without masks. Where no view has one, that is a warning beside a mesh, and an error of the cameras without a mesh.
 fn missing(looks: &[ViewLook], has_mesh: bool) -> Option<Finding> {
     let without = || looks.iter().filter(|look| look.mask.is_none() && look.light.is_some());
     let has_none = masked(looks).next().is_none();
@@ -102,9 +101,8 @@ fn missing(looks: &[ViewLook], has_mesh: bool) -> Option<Finding> {
     Some(Finding::new(Severity::Warning, "missing-masks", views, problem, help))
 }
 
-/// Compares the exposure of each view with that of views of the same placement from nearly the same side:
-/// sets [`ViewLook::stops`], and names outliers. `directions` are those of the cameras from the object; views with another fault
-/// (`spoiled`) are left out.
+/// Compares the exposure of each view with that of views of the same placement from nearly the same side: sets [`ViewLook::stops`], and
+/// names outliers. `directions` are those of the cameras from the object; views with another fault (`spoiled`) are left out.
 pub(super) fn of_exposure(looks: &mut [ViewLook], directions: &[Vec3], spoiled: &[bool]) -> Option<Finding> {
     let level = |look: &ViewLook| look.light.map(|light| light.level).filter(|level| *level > 0.0);
     let mut by_placement: BTreeMap<Placement, Vec<(usize, f32)>> = BTreeMap::new();
@@ -148,8 +146,7 @@ pub(super) fn of_exposure(looks: &mut [ViewLook], directions: &[Vec3], spoiled: 
     Some(Finding::new(Severity::Warning, "exposure", views, problem, help))
 }
 
-/// For each unit direction, the indices of the `count` nearest others, the nearest first; equal distances
-/// are ordered by index.
+/// For each unit direction, the indices of the `count` nearest others, the nearest first; equal distances are ordered by index.
 fn neighbors(directions: &[Vec3], count: usize) -> Vec<Vec<usize>> {
     let nearest = |i: usize| {
         let mut others: Vec<usize> = (0..directions.len()).filter(|&k| k != i).collect();

@@ -111,10 +111,6 @@ pub fn run(args: &BenchArgs) -> Result<()> {
 }
 
 /// Measures every combination; `on_row` is told of each row as soon as it is there.
-///
-/// # Errors
-/// [`Error::Usage`] if the JSON file cannot be one (before anything is measured); [`Error::Run`] if threads cannot be
-/// started; [`Error::Io`]; whatever `on_row` returns.
 fn bench(args: &BenchArgs, mut on_row: impl FnMut(&BenchRow) -> Result<()>) -> Result<Vec<BenchRow>> {
     args.json.as_deref().map_or(Ok(()), check_file)?;
     let gpu = args.gpu.as_deref().map(ShadingDevice::open).transpose()?;

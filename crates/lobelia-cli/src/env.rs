@@ -7,7 +7,7 @@ use glam::{DVec3, EulerRot, Quat, Vec3};
 use image::{Rgb, RgbImage, imageops};
 use lobelia::codec::file::{check_writable, is_there};
 use lobelia::codec::png_file::{software_of, write_rgb8, write_rgb8_by};
-use lobelia::light::convention::MapConvention;
+use lobelia::light::convention::MapConvention as Map;
 use lobelia::light::map_fit::{MapFit, MapFitProgress, MapFitReport, fit_map_with, target_of};
 use lobelia::light::{EnvironmentMap, LightLobe, lobes_power, lobes_radiance, render_lobes};
 use lobelia::report::sheet::{draw_text, line_height};
@@ -15,7 +15,9 @@ use lobelia::report::tone::{Tone, srgb8};
 use lobelia::sg::color::luminance;
 use lobelia::shade::frame::check_memory;
 use lobelia::spawn::light::{LightConventions, LightFile, check_lit, files_of, read_light, read_map};
-use lobelia::{Error, Result, codec::npy::NpyConvention, error::stop::is_stopping, pass::progress::Progress};
+use lobelia::{
+    Error, Result, codec::npy::NpyConvention as Npy, error::stop::is_stopping, pass::progress::Progress,
+};
 use std::{f64::consts::PI, fmt::Write as _, path::Path, path::PathBuf, time::Instant};
 
 /// The end of the help.
@@ -54,39 +56,27 @@ pub enum EnvCommand {
 pub struct ConventionArgs {
     /// Which program's way EXR and HDR maps face, read or written
     #[arg(long, value_name = "PROGRAM", default_value = "lobelia", value_parser = choices(MAPS))]
-    convention: MapConvention,
+    convention: Map,
     /// Which way the axes of .npy lobes point, read or written
     #[arg(long, value_name = "WAY", default_value = "lobelia", value_parser = choices(NPYS))]
-    npy_convention: NpyConvention,
+    npy_convention: Npy,
 }
 
-const MAPS: Choices<MapConvention> = &[
-    ("lobelia", MapConvention::Lobelia, "+Y up, middle +Z, a quarter in +X"),
-    ("mitsuba", MapConvention::Mitsuba, "Mitsuba 3: the same"),
-    (
-        "three-js",
-        MapConvention::ThreeJs,
-        "three.js and glTF viewers built on it: +Y up, middle +X, a quarter in −Z",
-    ),
-    ("blender", MapConvention::Blender, "Blender's own world: +Z up, middle +X, a quarter in +Y"),
-    (
-        "blender-y-up",
-        MapConvention::BlenderYUp,
-        "Blender's world for an object exported with +Y up: as three-js",
-    ),
+const MAPS: Choices<Map> = &[
+    ("lobelia", Map::Lobelia, "+Y up, middle +Z, a quarter in +X"),
+    ("mitsuba", Map::Mitsuba, "Mitsuba 3: the same"),
+    ("three-js", Map::ThreeJs, "three.js and glTF viewers built on it: +Y up, middle +X, a quarter in −Z"),
+    ("blender", Map::Blender, "Blender's own world: +Z up, middle +X, a quarter in +Y"),
+    ("blender-y-up", Map::BlenderYUp, "Blender's world for an object exported with +Y up: as three-js"),
 ];
-const NPYS: Choices<NpyConvention> = &[
-    ("lobelia", NpyConvention::Lobelia, "World directions"),
-    (
-        "physg-fit",
-        NpyConvention::PhySgFit,
-        "PhySG's published envmap*_sg_fit files: (x, y, z) stands for (z, y, −x)",
-    ),
+const NPYS: Choices<Npy> = &[
+    ("lobelia", Npy::Lobelia, "World directions"),
+    ("physg-fit", Npy::PhySgFit, "PhySG's published envmap*_sg_fit files: (x, y, z) stands for (z, y, −x)"),
 ];
 
 impl From<ConventionArgs> for LightConventions {
-    fn from(args: ConventionArgs) -> Self {
-        Self { npy: args.npy_convention, map: args.convention }
+    fn from(ConventionArgs { convention: map, npy_convention: npy }: ConventionArgs) -> Self {
+        Self { npy, map }
     }
 }
 
@@ -99,8 +89,7 @@ pub struct FitArgs {
     #[arg(long, value_name = "N[,N…]", value_delimiter = ',', default_value = "128",
         value_parser = clap::value_parser!(u16).range(1..=512))]
     lobes: Vec<u16>,
-    /// Write the lobes here (.ron or .npy), and beside it a .png of the map and what the lobes make of it, unless another
-    /// picture is there
+    /// Write the lobes here (.ron or .npy), and beside it a .png of the map and what the lobes make of it, unless another picture is there
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Light from above only: the map below the horizon counts as black, no lobe's axis points below it
@@ -316,8 +305,7 @@ fn rotate(args: &RotateArgs) -> Result<()> {
 
 // What is in a light, in words.
 
-/// Describes a light: mean, power, peak, and a table of its lobes by power (all of them, or the
-/// first 16).
+/// Describes a light: mean, power, peak, and a table of its lobes by power (all of them, or the first 16).
 fn info(light: &LightFile, all: bool) -> String {
     let (mut text, power) = match light {
         LightFile::Lobes(lobes) => {

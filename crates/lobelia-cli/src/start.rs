@@ -1,5 +1,4 @@
-//! Preparations of commands: the scene, the number of threads, signals, and files that must not be
-//! written over.
+//! Preparations of commands: the scene, the number of threads, signals, and files that must not be written over.
 
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};

@@ -4,7 +4,6 @@
 mod plot;
 
 use crate::report::scores::{PassScores, Scaling, Scores, ViewScores};
-use crate::report::tone::{LARGEST_ERROR, heat_color};
 use indexmap::IndexSet;
 use lobelia_geometry::error::{Error, Result};
 use plot::{Series, svg};
@@ -109,6 +108,8 @@ pub(crate) const MOST_RUNS: usize = 8;
 const PAGE: &str = include_str!("assets/report.html");
 const STYLE: &str = include_str!("assets/report.css");
 const SCRIPT: &str = include_str!("assets/report.js");
+/// The scale of error maps, as `heat_color` has it.
+const SCALE: &str = include_str!("assets/scale.html");
 
 /// The page of one run, or of several side by side; the first one is what the others are compared with.
 ///
@@ -153,9 +154,6 @@ pub fn html(runs: &[RunReport]) -> Result<String> {
 }
 
 /// A page with values in its slots, which come in this order: one pass over the page, so that nothing of the values is taken for a slot.
-///
-/// # Errors
-/// [`Error::Run`] if the page lacks a slot.
 pub(crate) fn filled(page: &str, slots: &[(&str, String)]) -> Result<String> {
     let mut text = String::new();
     let mut rest = page;
@@ -172,20 +170,10 @@ pub(crate) fn filled(page: &str, slots: &[(&str, String)]) -> Result<String> {
 
 /// Text inside an element or an attribute with quotes around it; what no document may hold (control characters) is left out.
 pub fn escaped(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => escaped += "&amp;",
-            '<' => escaped += "&lt;",
-            '>' => escaped += "&gt;",
-            '"' => escaped += "&quot;",
-            '\'' => escaped += "&#39;",
-            '\n' | '\t' => escaped.push(c),
-            c if c.is_control() => {}
-            c => escaped.push(c),
-        }
-    }
-    escaped
+    let kept: String = text.chars().filter(|c| ['\n', '\t'].contains(c) || !c.is_control()).collect();
+    // The ampersand first: those of the others stay.
+    let marks = [('&', "&amp;"), ('<', "&lt;"), ('>', "&gt;"), ('"', "&quot;"), ('\'', "&#39;")];
+    marks.into_iter().fold(kept, |text, (mark, written)| text.replace(mark, written))
 }
 
 /// What stands in a cell without a value.
@@ -313,15 +301,15 @@ fn scores(runs: &[RunReport]) -> String {
     let srgb = "Passes against photographs and other pictures of encoded colors, in sRGB: over the mask, and over all pixels on white and on black";
     let orb =
         "Passes as Stanford-ORB scores them: each picture scaled by itself, the mask eroded by two pixels";
-    let tables = pass_table(runs, linear, &LINEAR, true)
-        + &pass_table(runs, srgb, &SRGB, false)
-        + &pass_table(runs, orb, &ORB, false);
     let whole = WHOLE.iter().filter(|(.., of)| runs.iter().any(|run| of(&run.scores).is_some()));
     let row = |(heading, unit, of): &Score<Scores>| {
         let cell = |i| cell(runs, i, *unit, |run| of(&run.scores));
         ((*heading).to_owned(), (0..runs.len()).map(cell).collect())
     };
-    let text = tables + &by_run(runs, "The object as a whole", whole.map(row).collect());
+    let text = pass_table(runs, linear, &LINEAR, true)
+        + &pass_table(runs, srgb, &SRGB, false)
+        + &pass_table(runs, orb, &ORB, false)
+        + &by_run(runs, "The object as a whole", whole.map(row).collect());
     if text.is_empty() {
         return text;
     }
@@ -396,33 +384,14 @@ fn scale_words(scores: &PassScores) -> String {
 
 /// Views of a pass that are shown at once; the others are folded.
 const UNFOLDED: usize = 12;
-/// Errors with a number on the scale.
-const TICKS: [f32; 5] = [0.0, 0.01, 0.05, 0.1, LARGEST_ERROR];
-
 /// The views of all passes that rendered, below the scale of their error maps.
 fn views(runs: &[RunReport]) -> String {
     let all = || runs.iter().flat_map(|run| &run.views);
     let passes: IndexSet<&str> = all().map(|views| views.pass.as_str()).collect();
     let text: String = passes.iter().map(|pass| pass_views(runs, pass)).collect();
-    if !all().flat_map(|pass| &pass.views).any(|view| view.error.is_some()) {
-        return text;
-    }
-    let stop = |i: u8| {
-        let [r, g, b] = heat_color(f32::from(i) / 8.0);
-        format!("rgb({r} {g} {b}) {:.1}%", f32::from(i) * 12.5)
-    };
-    let tick = |tick: &f32| {
-        format!("<span style=\"left:{:.1}%\">{tick}</span>", 100.0 * (tick / LARGEST_ERROR).sqrt())
-    };
-    format!(
-        "<p class=\"note\">Worst views first. A view opens under a wipe. Errors are means of |R|, |G|, |B| differences of linear values in [0, 1], \
-         on one scale for all pictures:</p>\n<div class=\"scale\" role=\"img\" aria-label=\"Color scale of errors, from 0 (black) to {LARGEST_ERROR} (pale yellow)\">\
-         <div style=\"background:linear-gradient(90deg,{})\"></div>{}</div>\n{text}",
-        (0..=8).map(stop).collect::<Vec<_>>().join(","),
-        TICKS.iter().map(tick).collect::<String>()
-    )
+    let has_errors = all().flat_map(|pass| &pass.views).any(|view| view.error.is_some());
+    if has_errors { SCALE.to_owned() + &text } else { text }
 }
-
 /// A view as one of the runs has it, with its scores there.
 type RunView<'a> = (Option<&'a ViewReport>, Option<&'a ViewScores>);
 
@@ -510,15 +479,18 @@ fn lead(runs: &[RunReport]) -> String {
         }
     }
     let [RunReport { scores, .. }] = runs else { return text };
-    let tile = |name: &str, value: String| format!("<div><dt>{}</dt><dd>{value}</dd></div>", escaped(name));
-    let passes = scores.passes.iter().map(|(name, s)| tile(name, format!("{:.1} <small>dB</small>", s.psnr)));
     let whole = [
-        scores.albedo_psnr.map(|v| tile("albedo", format!("{v:.1} <small>dB</small>"))),
-        scores.normal_deg.map(|v| tile("normals", format!("{v:.2}<small>°</small>"))),
-        scores.fit_secs.map(|v| tile("fit", format!("{v:.0} <small>s</small>"))),
-        scores.peak_rss_mib.map(|v| tile("memory", format!("{v:.0} <small>MiB</small>"))),
+        ("albedo", scores.albedo_psnr, 1, " <small>dB"),
+        ("normals", scores.normal_deg, 2, "<small>°"),
+        ("fit", scores.fit_secs, 0, " <small>s"),
+        ("memory", scores.peak_rss_mib, 0, " <small>MiB"),
     ];
-    let tiles: String = passes.chain(whole.into_iter().flatten()).collect();
+    let passes = scores.passes.iter().map(|(name, s)| (name.as_str(), Some(s.psnr), 1, " <small>dB"));
+    let tile = |(name, value, digits, unit): (&str, Option<f64>, usize, &str)| {
+        let value = value?;
+        Some(format!("<div><dt>{}</dt><dd>{value:.digits$}{unit}</small></dd></div>", escaped(name)))
+    };
+    let tiles: String = passes.chain(whole).filter_map(tile).collect();
     if tiles.is_empty() { text } else { format!("{text}<dl class=\"tiles\">{tiles}</dl>") }
 }
 
@@ -539,8 +511,7 @@ fn pictures(runs: &[RunReport]) -> String {
     if figures.is_empty() { figures } else { format!("<div class=\"pictures\">\n{figures}</div>\n") }
 }
 
-/// Plots of a log: title, whether the axis is logarithmic, and the columns, of which the mean
-/// counts.
+/// Plots of a log: title, whether the axis is logarithmic, and the columns, of which the mean counts.
 const PLOTS: [(&str, bool, &[&str]); 5] = [
     ("Loss", true, &["loss"]),
     ("PSNR of training pixels, dB", false, &["psnr"]),
@@ -574,9 +545,9 @@ fn curves(runs: &[RunReport]) -> String {
     if steps.is_empty() {
         return String::new();
     }
-    let choice = |id: &str, label: &str, checked: &str| {
-        format!("<label><input type=\"radio\" name=\"over\" id=\"{id}\"{checked}> over {label}</label>")
-    };
+    let [over_steps, over_seconds] = [("steps", " checked"), ("seconds", "")].map(|(over, checked)| {
+        format!("<label><input type=\"radio\" name=\"over\" id=\"over-{over}\"{checked}> over {over}</label>")
+    });
     let names: Vec<&String> = match runs {
         [run] => run.logs.iter().map(|log| &log.pass).collect(),
         _ => runs.iter().map(|run| &run.name).collect(),
@@ -588,10 +559,8 @@ fn curves(runs: &[RunReport]) -> String {
         legend = format!("<p class=\"legend\">{}</p>", entries.collect::<String>());
     }
     format!(
-        "<div class=\"curves\"><div class=\"choice\" role=\"radiogroup\" aria-label=\"Horizontal axis\">{}{}</div>{legend}\n\
-         <div class=\"charts steps\">\n{steps}</div>\n<div class=\"charts seconds\">\n{seconds}</div></div>\n",
-        choice("over-steps", "steps", " checked"),
-        choice("over-seconds", "seconds", "")
+        "<div class=\"curves\"><div class=\"choice\" role=\"radiogroup\" aria-label=\"Horizontal axis\">{over_steps}{over_seconds}</div>{legend}\n\
+         <div class=\"charts steps\">\n{steps}</div>\n<div class=\"charts seconds\">\n{seconds}</div></div>\n"
     )
 }
 

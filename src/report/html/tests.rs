@@ -1,5 +1,6 @@
 use super::*;
 use crate::report::published::SrgbScores;
+use crate::report::tone::{LARGEST_ERROR, heat_color};
 use indexmap::IndexMap;
 
 fn view_scores(name: &str, psnr: f64) -> ViewScores {
@@ -68,6 +69,17 @@ fn run(name: &str, psnr: f64) -> RunReport {
             color: Some([9, 8, 7]),
         }],
         ..RunReport::default()
+    }
+}
+
+#[test]
+fn the_scale_shows_the_colors_of_errors() {
+    for i in 0..=8u8 {
+        let [r, g, b] = heat_color(f32::from(i) / 8.0);
+        has(SCALE, &[&format!("rgb({r} {g} {b}) {:.1}%", f32::from(i) * 12.5)]);
+    }
+    for tick in [0.0, 0.01, 0.05, 0.1, LARGEST_ERROR] {
+        has(SCALE, &[&format!("left:{:.1}%\">{tick}<", 100.0 * (tick / LARGEST_ERROR).sqrt())]);
     }
 }
 
