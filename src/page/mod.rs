@@ -24,29 +24,15 @@ use std::collections::BTreeMap;
 const PAGE: &str = include_str!("assets/page.html");
 /// Its style.
 const STYLE: &str = include_str!("assets/style.css");
+/// Modules of `assets/`, by their names.
+macro_rules! modules {
+    ($($name:literal)*) => { [$(($name, include_str!(concat!("assets/", $name, ".js")))),*] };
+}
 /// Its modules, by the names under which they import each other; the last one starts the page.
-const MODULES: [(&str, &str); 20] = [
-    ("data", include_str!("assets/data.js")),
-    ("linear", include_str!("assets/linear.js")),
-    ("gpu", include_str!("assets/gpu.js")),
-    ("light", include_str!("assets/light.js")),
-    ("masks", include_str!("assets/masks.js")),
-    ("shadow", include_str!("assets/shadow.js")),
-    ("camera", include_str!("assets/camera.js")),
-    ("renderer", include_str!("assets/renderer.js")),
-    ("regions", include_str!("assets/regions.js")),
-    ("brush", include_str!("assets/brush.js")),
-    ("ron", include_str!("assets/ron.js")),
-    ("history", include_str!("assets/history.js")),
-    ("mapfile", include_str!("assets/mapfile.js")),
-    ("mapfit", include_str!("assets/mapfit.js")),
-    ("lightfile", include_str!("assets/lightfile.js")),
-    ("lightball", include_str!("assets/lightball.js")),
-    ("compare", include_str!("assets/compare.js")),
-    ("controls", include_str!("assets/controls.js")),
-    ("pace", include_str!("assets/pace.js")),
-    ("main", include_str!("assets/main.js")),
-];
+const MODULES: [(&str, &str); 20] = modules!(
+    "data" "linear" "gpu" "light" "masks" "shadow" "camera" "renderer" "regions" "brush" "ron"
+    "history" "mapfile" "mapfit" "lightfile" "lightball" "compare" "controls" "pace" "main"
+);
 /// Its shaders, by name.
 const SHADERS: [(&str, &str); 10] = [
     ("octahedral", include_str!("assets/octahedral.glsl")),

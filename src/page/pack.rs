@@ -92,11 +92,9 @@ impl Range {
 
     fn of(values: impl Iterator<Item = f32>) -> Self {
         let (low, high) = values.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
-        let size = high - low;
-        if size > 0.0 {
-            Self { low, size }
-        } else {
-            Self { low: if low.is_finite() { low } else { 0.0 }, size: 1.0 }
+        match high - low {
+            size if size > 0.0 => Self { low, size },
+            _ => Self { low: if low.is_finite() { low } else { 0.0 }, size: 1.0 },
         }
     }
 }

@@ -39,35 +39,27 @@ const LEAST_LEFT: f64 = 0.4;
 const NO_CAMERAS_HELP: &str = "Neighboring photographs must overlap by 60 % and more and be sharp, and the object needs texture. On a \
                                turntable, give masks and `--features object`; before a plain object, leave that out.";
 
-/// COLMAP as it is installed here.
-pub(super) struct Colmap {
-    program: Program,
-    /// Options that let features and matches use the graphics card: version 3.12 renamed their groups.
-    use_gpu: [&'static str; 2],
-}
-
-impl Colmap {
-    /// Looks for the program and asks for its options.
-    pub fn find(path: &Path) -> Result<Self> {
-        let program = Program { path: path.to_owned(), install: INSTALL };
-        let help = program.help(&["feature_extractor", "-h"])?;
-        if !help.contains("ImageReader.single_camera") {
-            let problem = format!("the program {} is not COLMAP, or cannot run", path.display());
-            return Err(Error::usage(problem, INSTALL));
-        }
-        let use_gpu = if help.contains("FeatureExtraction.use_gpu") {
-            ["--FeatureExtraction.use_gpu", "--FeatureMatching.use_gpu"]
-        } else {
-            ["--SiftExtraction.use_gpu", "--SiftMatching.use_gpu"]
-        };
-        Ok(Self { program, use_gpu })
+/// COLMAP as it is installed here: the program, and its options that let features and matches use the graphics card; version 3.12 renamed
+/// their groups.
+pub(super) fn find(path: &Path) -> Result<(Program, [&'static str; 2])> {
+    let program = Program { path: path.to_owned(), install: INSTALL };
+    let help = program.help(&["feature_extractor", "-h"])?;
+    if !help.contains("ImageReader.single_camera") {
+        let problem = format!("the program {} is not COLMAP, or cannot run", path.display());
+        return Err(Error::usage(problem, INSTALL));
     }
+    let use_gpu = match help.contains("FeatureExtraction.use_gpu") {
+        true => ["--FeatureExtraction.use_gpu", "--FeatureMatching.use_gpu"],
+        false => ["--SiftExtraction.use_gpu", "--SiftMatching.use_gpu"],
+    };
+    Ok((program, use_gpu))
 }
 
-/// Photographs whose cameras are to be found.
+/// Photographs whose cameras are to be found, by COLMAP as [`find`] has found it.
 pub(super) struct Reconstruction<'a> {
     pub options: &'a PrepareOptions,
-    pub colmap: Colmap,
+    pub program: Program,
+    pub use_gpu: [&'static str; 2],
     pub photographs: &'a [PhotographFile],
     pub is_video: bool,
     pub has_masks: bool,
@@ -92,7 +84,7 @@ impl Reconstruction<'_> {
         if on_object {
             features.extend(["--ImageReader.mask_path".into(), work.path("masks").into_os_string()]);
         }
-        features.extend([self.colmap.use_gpu[0], gpu].map(OsString::from));
+        features.extend([self.use_gpu[0], gpu].map(OsString::from));
         work.step("features", &format!("{features:?}"), |work| {
             for end in ["", "-wal", "-shm"] {
                 remove(&work.path(&format!("database.db{end}")))?;
@@ -111,7 +103,7 @@ impl Reconstruction<'_> {
         };
         let [command, option, value] = if is_sequence { SEQUENTIAL } else { EXHAUSTIVE };
         let database = ("--database_path", &work.path("database.db") as _);
-        let matching = words(command, &[database, (self.colmap.use_gpu[1], &gpu), (option, &value)]);
+        let matching = words(command, &[database, (self.use_gpu[1], &gpu), (option, &value)]);
         work.step("matching", &format!("{matching:?}"), |work| {
             self.colmap(work, "matching", 100, &matching)
         })?;
@@ -136,7 +128,7 @@ impl Reconstruction<'_> {
         })?;
         let (mut error, analysis) = (None::<f64>, words("model_analyzer", &[("--path", &model)]));
         // Without this number, all is there.
-        let _ = self.colmap.program.run(&analysis, &work.log("analysis"), |line| {
+        let _ = self.program.run(&analysis, &work.log("analysis"), |line| {
             let told = line.split_once("Mean reprojection error: ");
             error = told.and_then(|(_, told)| told.trim_end_matches("px").parse().ok()).or(error);
         });
@@ -158,7 +150,7 @@ impl Reconstruction<'_> {
     /// Runs one of COLMAP's commands under a bar of `length` steps.
     fn colmap(&self, work: &Work, name: &str, length: usize, words: &[OsString]) -> Result<()> {
         let length = length as u64;
-        work.run(name, &self.colmap.program, words, length, |line| steps_done(line, length))
+        work.run(name, &self.program, words, length, |line| steps_done(line, length))
     }
 
     /// Cameras and points, as one or several models in folders of `models` with numbers as names.
@@ -189,7 +181,7 @@ impl Reconstruction<'_> {
     /// Finds the center of the image too, which a mapper takes for its middle: points are found anew and cameras adjusted, several times.
     fn refine(&self, work: &Work, model: &Path) -> Result<()> {
         let [refined, points] = [work.emptied("refined")?, work.emptied("points")?];
-        let run = |words: &[OsString]| self.colmap.program.run(words, &work.log("refinement"), |_| ());
+        let run = |words: &[OsString]| self.program.run(words, &work.log("refinement"), |_| ());
         let adjust = |from: &Path| {
             let center = ("--BundleAdjustment.refine_principal_point", &"1" as _);
             run(&words("bundle_adjuster", &[("--input_path", &from), ("--output_path", &refined), center]))
@@ -281,10 +273,8 @@ impl Reconstruction<'_> {
 /// The words of a command that reads the database and the photographs.
 fn over_photographs(work: &Work, command: &str, more: &[(&str, &dyn AsRef<OsStr>)]) -> Vec<OsString> {
     let (database, images) = (work.path("database.db"), work.path("photographs"));
-    let mut options: Vec<(&str, &dyn AsRef<OsStr>)> =
-        vec![("--database_path", &database), ("--image_path", &images)];
-    options.extend(more);
-    words(command, &options)
+    let read = [("--database_path", &database as _), ("--image_path", &images as _)];
+    words(command, &[&read[..], more].concat())
 }
 
 /// How many of `whole` steps a line of output says are done: `Processed file [3/66]`, `Matching block [1/2, 2/2]`,

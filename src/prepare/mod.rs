@@ -13,7 +13,7 @@ mod work;
 pub use masks::MaskSource;
 
 use crate::pass::progress::Progress;
-use colmap::{Colmap, Reconstruction};
+use colmap::Reconstruction;
 use lobelia_geometry::error::{Error, Result};
 use lobelia_io::{codec::file::lies_in, codec::file::write_bytes, dataset::Layout};
 use photographs::FEWEST;
@@ -173,7 +173,7 @@ impl fmt::Display for Prepared {
 /// [`Error::Interrupted`] after Ctrl-C.
 pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prepared> {
     options.check()?;
-    let colmap = Colmap::find(&options.colmap)?;
+    let (program, use_gpu) = colmap::find(&options.colmap)?;
     // A bad folder or video is refused before the output folder is made.
     let path = &options.photographs;
     let video = video::is_video(path).then(|| Video::plan(options)).transpose()?;
@@ -204,7 +204,7 @@ pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prep
         );
     }
     let (photographs, is_video) = (photographs.as_slice(), video.is_some());
-    let reconstruction = Reconstruction { options, colmap, photographs, is_video, has_masks };
+    let reconstruction = Reconstruction { options, program, use_gpu, photographs, is_video, has_masks };
     let mut prepared = reconstruction.run(&mut work)?;
     prepared.video_frames = video.map(|video| video.total);
     // Results get their names, and the scene file is written.

@@ -16,8 +16,7 @@ use std::{collections::BTreeMap, collections::BTreeSet, fs, io::Cursor, path::Pa
 /// Fewest photographs that cameras can be found for.
 pub(super) const FEWEST: usize = 3;
 /// Extensions of video files.
-pub(super) const VIDEOS: [&str; 10] =
-    ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts"];
+pub(super) const VIDEOS: &[&str] = &["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts"];
 /// Most bytes of pixels that are decoded at once.
 const MOST_DECODED: u64 = 1 << 30;
 /// Help for a photograph that is damaged.
@@ -55,7 +54,7 @@ pub(super) fn list(folder: &Path, progress: &dyn Progress) -> Result<Vec<Photogr
         let path = entry.map_err(Error::io("read", folder))?.path();
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
         let is_hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
-        let is_known = || IMAGE_EXTENSIONS.iter().chain(&VIDEOS).any(|known| extension == *known);
+        let is_known = || IMAGE_EXTENSIONS.iter().chain(VIDEOS).any(|known| extension == *known);
         if is_hidden || path.is_dir() {
             continue;
         }
@@ -138,13 +137,10 @@ fn header(path: &Path) -> Result<PhotographFile> {
     let mut decoder = reader.into_decoder().map_err(damaged(path))?;
     let (width, height) = decoder.dimensions();
     let chunk = decoder.exif_metadata().ok().flatten().unwrap_or_default();
-    let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
-        return Err(Error::input(path, "", "the name of the file is not UTF-8", "Rename it."));
-    };
     let color = decoder.color_type();
     Ok(PhotographFile {
         source: path.to_owned(),
-        name: name.to_owned(),
+        name: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         size: [width, height],
         orientation: Orientation::from_exif_chunk(&chunk).unwrap_or(Orientation::NoTransforms),
         has_alpha: color.has_alpha(),

@@ -146,8 +146,7 @@ impl Capture {
         let model = self.path(name);
         fs::create_dir_all(&model).unwrap();
         let words = |values: &[u64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
-        let numbers =
-            |values: &[f64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+        let numbers = |values: &[f64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
         // Camera 1 of model 1, PINHOLE.
         let ids = [1u32, 1].map(u32::to_le_bytes).concat();
         let camera = [words(&[1]), ids, words(&[48, 36]), numbers(&[60.0, 60.0, 24.0, 18.0])];

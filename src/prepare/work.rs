@@ -36,8 +36,7 @@ impl<'a> Work<'a> {
             }
         }
         let has = |name: &str| names.iter().any(|there| there == name);
-        let is_ours =
-            |name: &OsString| [WORK, LOGS].iter().chain(&FINISHED).any(|known| name.as_os_str() == *known);
+        let is_ours = |name: &OsString| [WORK, LOGS].iter().chain(&FINISHED).any(|ours| name == ours);
         if let Some(other) = names.iter().find(|name| !(has(WORK) && is_ours(name))) {
             let (out, other) = (out.display(), other.display());
             let problem = format!("the output folder {out} is not empty: it has {other}");

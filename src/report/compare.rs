@@ -25,13 +25,12 @@ pub struct Comparison {
 /// has one, else the prediction's, else the whole image; eroded by one pixel. sRGB scores are of whole images, after the scale if there is one; an
 /// image without alpha has that of the other.
 ///
+/// Images have no layers of their own, so that `scaling` is not [`Scaling::PerLayer`].
+///
 /// # Errors
-/// [`Error::Usage`] for a file against a folder, no common stems, or [`Scaling::PerLayer`]; [`Error::Input`] for an unreadable image,
+/// [`Error::Usage`] for a file against a folder, or no common stems; [`Error::Input`] for an unreadable image,
 /// unequal sizes, an empty mask, or a non-finite pixel in the mask.
 pub fn compare(prediction: &Path, truth: &Path, scaling: Scaling) -> Result<Comparison> {
-    if scaling == Scaling::PerLayer {
-        return Err(Error::usage("images have no separate layers to scale", "use per-channel scaling"));
-    }
     let help = "give two files or two folders";
     let is_folder = |path: &Path| {
         let found = path.metadata();
@@ -210,7 +209,6 @@ mod tests {
         let table = found.table();
         assert!(table.contains("sRGB: mask ") && found.scores.srgb.unwrap().psnr_mask > 90.0, "{table}");
         assert!(table.contains("scale R 2.0000 G 2.0000 B 2.0000") && table.contains("mean"), "{table}");
-        assert!(matches!(compare(&p, &t, Scaling::PerLayer).unwrap_err(), Error::Usage { .. }));
     }
 
     #[test]

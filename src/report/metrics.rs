@@ -79,8 +79,7 @@ pub(crate) fn erode(size: [usize; 2], coverage: &[f32]) -> Vec<bool> {
 /// Whether all pixels of a picture are `inside` up to so many pixels to each side of a pixel.
 pub(super) fn eroded([width, height]: [usize; 2], by: usize, inside: impl Fn(usize) -> bool) -> Vec<bool> {
     let around = |at: usize, side: usize| at.saturating_sub(by)..(at + by + 1).min(side);
-    let counts =
-        |x: usize, y: usize| around(y, height).all(|y| around(x, width).all(|x| inside(y * width + x)));
+    let counts = |x, y| around(y, height).all(|y| around(x, width).all(|x| inside(y * width + x)));
     (0..width * height).map(|i| counts(i % width, i / width)).collect()
 }
 
@@ -540,8 +539,7 @@ mod tests {
     fn images(count: usize) -> (Vec<Vec3>, Vec<Vec3>) {
         let truth: Vec<Vec3> =
             (0..count as u32).map(|i| Vec3::new(noise(i), noise(i + 7777), noise(i + 15555))).collect();
-        let prediction =
-            (0..count as u32).map(|i| truth[i as usize] * 0.8 + 0.5 * noise(i + 99_999)).collect();
+        let prediction = (0..).zip(&truth).map(|(i, t)| *t * 0.8 + 0.5 * noise(i + 99_999)).collect();
         (prediction, truth)
     }
 

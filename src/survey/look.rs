@@ -109,8 +109,7 @@ impl ViewLook {
         let camera = view.camera.scaled(factor);
         let frame = [view.camera.width, view.camera.height].map(|side| side as f32 / factor as f32);
         let mask = whole.as_ref().map(|mask| mask.downscaled(factor));
-        let statistics =
-            |photograph| RadianceStatistics::new(photograph, factor, whole.as_ref(), mask.as_ref());
+        let statistics = |of| RadianceStatistics::new(of, factor, whole.as_ref(), mask.as_ref());
         Self {
             light: view.photograph.as_ref().map(statistics),
             camera,

@@ -313,7 +313,7 @@ fn explained(mesh: Option<&TriangleBvh>, looks: &[ViewLook], middle: f32) -> Opt
             let turns = turns();
             let turned = turns[1..].iter().map(|&turn| Undoing::Mesh { turn, scale: 1.0, shift: Vec3::ZERO });
             let placed =
-                |turns: &[Mat3A]| best(turns.iter().filter_map(|turn| placed(bvh, &views, *turn)).collect());
+                |of: &[Mat3A]| best(of.iter().filter_map(|turn| placed(bvh, &views, *turn)).collect());
             // A mesh that covers the masks is not turned and of another size at once.
             let others = if middle < COVERS { &turns[1..] } else { &[] };
             best(CAMERA_MISTAKES.into_iter().chain(turned).collect())

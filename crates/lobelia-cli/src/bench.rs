@@ -17,14 +17,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-const EXAMPLES: &str = "\
-Examples:
-  lobelia bench
-      8, 32, 128 and 512 lobes, three roughnesses, one thread and all threads.
-  lobelia bench --points 4096 --lobes 128 --threads 2 --seconds 5
-      One batch of a fit, quickly.
-  lobelia bench --json before.json
-      Rows to compare with: mode, points, lobes, threads, roughness, forward_ns, forward_adjoint_ns, …";
+const EXAMPLES: &str = include_str!("help/bench.txt").trim_ascii_end();
 
 /// Measures how long shading takes per point and light lobe on this machine, in about a minute.
 ///
@@ -104,9 +97,10 @@ struct BenchRow {
 
 /// Runs the command.
 pub fn run(args: &BenchArgs) -> Result<()> {
-    let (seconds, header) = (args.seconds, BenchRow::HEADER);
-    let mut head =
-        format!("Nanoseconds per point × lobe, the least of all repetitions in {seconds} s.\n{header}\n");
+    let mut head = format!(
+        "Nanoseconds per point × lobe, the least of all repetitions in {} s.\nmode          points  lobes  roughness  threads  forward ns  forward+adjoint ns  bytes/point  simd\n",
+        args.seconds
+    );
     bench(args, |row| print(&format!("{}{}\n", std::mem::take(&mut head), row.line()))).map(drop)
 }
 
@@ -167,10 +161,6 @@ fn bench(args: &BenchArgs, mut on_row: impl FnMut(&BenchRow) -> Result<()>) -> R
 }
 
 impl BenchRow {
-    /// The head of the table that [`Self::line`] fills.
-    const HEADER: &'static str = "\
-mode          points  lobes  roughness  threads  forward ns  forward+adjoint ns  bytes/point  simd";
-
     /// As a line of the table.
     fn line(&self) -> String {
         format!(

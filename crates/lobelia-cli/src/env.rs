@@ -21,25 +21,7 @@ use lobelia::{
 use std::{f64::consts::PI, fmt::Write as _, path::Path, path::PathBuf, time::Instant};
 
 /// The end of the help.
-pub const EXAMPLES: &str = "\
-Examples:
-  lobelia env fit sky.exr --lobes 100 --out sky.ron
-      100 spherical Gaussians for a map, and sky.png: the map above, the lobes below. In a scene, put the text of
-      sky.ron into light: Fixed(…), or say light: Fixed(Map(path: \"sky.exr\", lobes: 100)) to the same effect.
-  lobelia env fit sky.exr --lobes 16,32,64,128,256
-      How good would how many be? A table, nothing written.
-  lobelia env fit studio.hdr --convention blender --white --upper-hemisphere --out studio.npy
-      A map made for Blender's world; gray light from above only; as [M, 7] array.
-  lobelia env render sky.ron --size 512x256 back.exr
-      The lobes as a map again; a .png instead gives a picture to look at.
-  lobelia env rotate sky.ron --euler 0,90,0 --out turned.ron
-      What came from +Z now comes from +X.
-  lobelia env info sky.ron
-      Mean, power, peak, and the lobes by power.
-
-LIGHT is a .ron light (what a scene has inside light: Fixed(…)), .npy lobes of shape [M, 7], or an OpenEXR or
-Radiance HDR latitude-longitude map. Maps: +Y is up, the left edge looks along −Z, a quarter in is +X, the middle
-is +Z; --convention says that a map faces as in another program.";
+pub const EXAMPLES: &str = include_str!("help/env.txt").trim_ascii_end();
 
 /// Command for a light.
 #[derive(Debug, Subcommand)]
@@ -188,10 +170,7 @@ pub fn run(command: &EnvCommand) -> Result<()> {
         EnvCommand::Fit(args) => fit(args),
         EnvCommand::Render(args) => render(args),
         EnvCommand::Rotate(args) => rotate(args),
-        EnvCommand::Info(args) => {
-            let light = read(&args.light, args.conventions)?;
-            print(&info(&light, args.all))
-        }
+        EnvCommand::Info(args) => print(&info(&read(&args.light, args.conventions)?, args.all)),
     }
 }
 
@@ -284,21 +263,13 @@ fn render(args: &RenderArgs) -> Result<()> {
 
 fn rotate(args: &RotateArgs) -> Result<()> {
     refuse_inputs(&files_of(&args.light), &[(&args.out, "--out")])?;
-    let turn = match (args.euler, args.quaternion) {
-        (Some(degrees), _) => {
-            let [x, y, z] = degrees.map(f32::to_radians);
-            Quat::from_euler(EulerRot::XYZEx, x, y, z)
-        }
-        (None, Some(parts)) => {
-            let given = Quat::from_array(parts);
-            if given.length() < 1e-6 {
-                let problem = "the quaternion is zero, which turns nothing";
-                return Err(Error::usage(problem, "The identity is 0,0,0,1."));
-            }
-            given.normalize()
-        }
-        (None, None) => Quat::IDENTITY,
-    };
+    let [x, y, z] = args.euler.unwrap_or_default().map(f32::to_radians);
+    let given = args.quaternion.map_or_else(|| Quat::from_euler(EulerRot::XYZEx, x, y, z), Quat::from_array);
+    if given.length() < 1e-6 {
+        let problem = "the quaternion is zero, which turns nothing";
+        return Err(Error::usage(problem, "The identity is 0,0,0,1."));
+    }
+    let turn = if args.quaternion.is_some() { given.normalize() } else { given };
     let light = read(&args.light, args.conventions)?;
     light.rotated(turn).write(&args.out, args.conventions.into())
 }

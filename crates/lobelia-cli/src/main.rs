@@ -23,28 +23,7 @@ mod view;
 use clap::{Parser, Subcommand, error::ContextKind, error::ContextValue};
 use std::{io::Write as _, process::ExitCode};
 
-const EXAMPLES: &str = "\
-Examples:
-  lobelia run scenes/quickstart.ron
-      A first look: makes its own photographs, fits them, edits, relights and scores. Needs no data.
-  lobelia run scenes/spot.ron --data ~/data/spot --out out/spot
-      Your own photographs: $DATA in the scene file stands for ~/data/spot.
-  lobelia run scenes/spot.ron --data ~/data/spot --set passes.fit.steps=200 --set views.downscale=2
-      A quick try of the same, without touching the file.
-  lobelia prepare ~/photos ~/data/vase
-      Photographs without cameras: COLMAP finds these, rembg makes masks, and a scene file is written.
-  lobelia check scenes/spot.ron --data ~/data/spot
-      Is everything there and sensible? Nothing is run or written. (Without --data, what is below $DATA is not
-      looked for.)
-  lobelia view out/spot --light sky.hdr
-      A page to turn, relight and edit the result in a browser: out/spot/view.html.
-  lobelia report out/spot out/spot-again --out both.html
-      Two runs side by side. The page of one run is written with it: out/spot/report.html.
-  lobelia eval out/spot/novel ~/data/spot/test/image
-      How close are these images to those?
-
-Exit codes: 0 done, 1 ran and failed, 2 bad input, 130, 143 or 129 stopped by Ctrl-C, SIGTERM or
-SIGHUP (what was found is kept).";
+const EXAMPLES: &str = include_str!("help/lobelia.txt").trim_ascii_end();
 
 /// Recovers surface, material and light of a photographed object as spherical Gaussians; then edits and relights it.
 #[derive(Debug, Parser)]

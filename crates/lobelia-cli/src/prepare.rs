@@ -8,16 +8,7 @@ use lobelia::prepare::{FrameCount, MaskSource, Matching, PrepareOptions, prepare
 use lobelia::{Error, Result, codec::file::write_bytes, dataset::Layout, pass::progress::Progress};
 use std::path::PathBuf;
 
-const EXAMPLES: &str = "\
-Examples:
-  lobelia prepare ~/photos ~/data/vase
-      Masks by alpha, or by rembg if it is installed (`pip install 'rembg[cpu,cli]'`).
-  lobelia prepare ~/photos ~/data/vase --mask-command 'my-segmenter {in} {out}' --features object
-      Masks by a program of your own, run once per photograph; the object stood on a turntable.
-  lobelia prepare walk.mp4 ~/data/statue --frames 120
-      A video: a frame of each of 120 intervals. Needs ffmpeg.
-  lobelia run ~/data/vase/scene.ron --out out/vase
-      What to do then.";
+const EXAMPLES: &str = include_str!("help/prepare.txt").trim_ascii_end();
 
 /// Makes a data set of photographs whose cameras are unknown.
 ///
@@ -99,20 +90,7 @@ const LENSES: Choices<&str> = &[
 pub fn run(args: &PrepareArgs) -> Result<()> {
     stop_on_signals()?;
     start_threads(ThreadArgs { threads: None })?;
-    let terminal = Terminal { quiet: args.quiet };
-    let prepared = prepare(&options(args), &terminal)?;
-    if prepared.scene.is_none() {
-        terminal.note(
-            "there are no masks: put them into masks/ of the data set, or a mesh beside them; `lobelia new` then writes a scene file",
-        );
-    }
-    let next = prepared.scene.as_ref().map(|scene| format!("\nnext: lobelia check {}", scene.display()));
-    terminal.print(&format!("{prepared}{}", next.unwrap_or_default()));
-    Ok(())
-}
-
-fn options(args: &PrepareArgs) -> PrepareOptions {
-    PrepareOptions {
+    let options = PrepareOptions {
         masks: match (&args.masks, &args.mask_command) {
             (Some(folder), _) => MaskSource::Folder(folder.clone()),
             (None, Some(command)) => MaskSource::Command(command.clone()),
@@ -132,7 +110,18 @@ fn options(args: &PrepareArgs) -> PrepareOptions {
         colmap: args.colmap.clone(),
         ffmpeg: args.ffmpeg.clone(),
         ..PrepareOptions::new(&args.photos, &args.out)
-    }
+    };
+    let terminal = Terminal { quiet: args.quiet };
+    let prepared = prepare(&options, &terminal)?;
+    let Some(scene) = &prepared.scene else {
+        terminal.note(
+            "there are no masks: put them into masks/ of the data set, or a mesh beside them; `lobelia new` then writes a scene file",
+        );
+        terminal.print(&prepared.to_string());
+        return Ok(());
+    };
+    terminal.print(&format!("{prepared}\nnext: lobelia check {}", scene.display()));
+    Ok(())
 }
 
 /// Write a commented scene file for a data set
@@ -144,13 +133,9 @@ pub struct NewArgs {
     #[arg(long, value_name = "SCENE.ron", default_value = "scene.ron")]
     out: PathBuf,
     /// The layout of the data, where the folder has several: Colmap, Llff, Nerf, …
-    #[arg(long, value_name = "LAYOUT", default_value = "Auto", hide_default_value = true, value_parser = parse_layout)]
+    #[arg(long, value_name = "LAYOUT", default_value = "Auto", hide_default_value = true,
+        value_parser = |name: &str| ron::from_str::<Layout>(name).map_err(|error| error.code.to_string()))]
     layout: Layout,
-}
-
-/// A layout by the name that it has in scene files.
-fn parse_layout(name: &str) -> std::result::Result<Layout, String> {
-    ron::from_str(name).map_err(|error| error.code.to_string())
 }
 
 /// Writes a commented scene file for a data set.

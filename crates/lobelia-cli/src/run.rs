@@ -6,7 +6,7 @@ use clap::Args;
 use lobelia::scene::load;
 use lobelia::shade::device::ShadingDevice;
 use lobelia::{Result, pass, pass::RunOptions, pass::memory::usual_budget, pass::progress::Progress};
-use std::path::{Path, PathBuf};
+use std::{path::Path, path::PathBuf, time::Instant};
 
 /// Runs the passes of a scene file in their order.
 ///
@@ -77,7 +77,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
     if !args.log {
         return carry_out(args, &Terminal { quiet: args.quiet });
     }
-    let log = JsonLog::new();
+    let log = JsonLog { start: Instant::now() };
     let ended = carry_out(args, &log);
     log.end(&ended);
     ended

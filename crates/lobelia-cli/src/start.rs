@@ -6,15 +6,7 @@ use lobelia::codec::file::{FileUse, check_apart, is_there, read_bytes};
 use lobelia::{Error, Result, error::stop::StopSignal, error::stop::ask_to_stop, scene::LoadOptions};
 use std::path::{Path, PathBuf};
 
-const SET_LONG: &str = "\
-Replaces a value of the scene file, or adds it where it is left out. May be given many times.
-
-PATH joins field names by dots. An item of a list is named by its number, by its `name`, or by its kind:
-  --set seed=7
-  --set passes.fit.rates.light=0.01
-  --set passes.novel.render.shading='PathTraced(spp: 64)'
-  --set material.specular.roughness='Fixed(0.25)'
-  --set light.path=other.exr";
+const SET_LONG: &str = include_str!("help/set.txt").trim_ascii_end();
 
 /// Which scene, and what the command line adds to it.
 #[derive(Args, Debug)]

@@ -12,10 +12,8 @@ use std::time::{Duration, Instant};
 /// Writes to stdout; a reader that has gone away (`lobelia check … | head -1`) is no failure.
 pub fn print(text: &str) -> Result<()> {
     match std::io::stdout().write_all(text.as_bytes()) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(Error::io("write", "standard output")(error))
-        }
-        _ => Ok(()),
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
+        written => written.map_err(Error::io("write", "standard output")),
     }
 }
 
@@ -126,7 +124,8 @@ const STEPS: u32 = 20;
 /// | `note`, `result` | `text` | as on the terminal |
 /// | `ended` | `state`, `error`, `help` | the last line, but for a second signal: `finished`, `interrupted` or `failed` |
 pub struct JsonLog {
-    start: Instant,
+    /// When it began.
+    pub start: Instant,
 }
 
 #[derive(Serialize)]
@@ -158,11 +157,6 @@ fn write_event(start: Instant, event: Event) {
 }
 
 impl JsonLog {
-    /// A log that begins now.
-    pub fn new() -> Self {
-        Self { start: Instant::now() }
-    }
-
     /// Says how the run ended.
     pub fn end(&self, ended: &Result<()>) {
         let (state, error) = match ended {
@@ -197,7 +191,7 @@ impl Progress for JsonLog {
     fn moment(&self, at: Moment) {
         match at {
             Moment::Pass { name, number, count } => {
-                write_event(self.start, Event::Pass { name, number, count });
+                write_event(self.start, Event::Pass { name, number, count })
             }
             Moment::Step { step, steps, fit } if step % STEPS == 0 || step == steps => {
                 let (loss, psnr, lobes) = (fit.sums.mean(), fit.sums.psnr(), fit.lobes);

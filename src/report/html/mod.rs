@@ -397,9 +397,8 @@ type RunView<'a> = (Option<&'a ViewReport>, Option<&'a ViewScores>);
 
 /// The views of a pass that any run has, the worst first: by the score of the first run that has one.
 fn pass_views<'a>(runs: &'a [RunReport], pass: &str) -> String {
-    let of_run =
-        |run: &'a RunReport| (run.views.iter().find(|views| views.pass == pass), run.scores.passes.get(pass));
-    let of_runs: Vec<(Option<&PassViews>, Option<&PassScores>)> = runs.iter().map(of_run).collect();
+    let of = |run: &'a RunReport| (run.views.iter().find(|of| of.pass == pass), run.scores.passes.get(pass));
+    let of_runs: Vec<(Option<&PassViews>, Option<&PassScores>)> = runs.iter().map(of).collect();
     let all = || of_runs.iter().filter_map(|(views, _)| *views).flat_map(|views| &views.views);
     let names: IndexSet<&str> = all().map(|view| view.name.as_str()).collect();
     // Scored against photographs, if the run has scores of sRGB values.
@@ -567,8 +566,7 @@ fn curves(runs: &[RunReport]) -> String {
 /// The mean of columns over another; `None` if the log lacks one.
 fn points(log: &FitLog, across: &str, columns: &[&str]) -> Option<Vec<[f64; 2]>> {
     let columns: Vec<&[f64]> = columns.iter().map(|name| log.column(name)).collect::<Option<_>>()?;
-    let mean =
-        |i: usize| columns.iter().filter_map(|column| column.get(i)).sum::<f64>() / columns.len() as f64;
+    let mean = |i: usize| columns.iter().filter_map(|of| of.get(i)).sum::<f64>() / columns.len() as f64;
     Some(log.column(across)?.iter().enumerate().map(|(i, x)| [*x, mean(i)]).collect())
 }
 
