@@ -92,15 +92,13 @@ impl Reconstruction<'_> {
             self.colmap(work, "features", photographs.len(), &features)
         })?;
         let is_few = photographs.len() <= MOST_EXHAUSTIVE[usize::from(self.is_video)];
-        if !is_few && options.matching == Matching::Auto {
+        let is_guess = !is_few && options.matching == Matching::Auto;
+        if is_guess {
             work.progress.note(
                 "photographs are matched with their neighbors by name only, because they are many; --matching exhaustive matches all pairs",
             );
         }
-        let is_sequence = match options.matching {
-            Matching::Auto => !is_few,
-            matching => matching == Matching::Sequential,
-        };
+        let is_sequence = is_guess || options.matching == Matching::Sequential;
         let [command, option, value] = if is_sequence { SEQUENTIAL } else { EXHAUSTIVE };
         let database = ("--database_path", &work.path("database.db") as _);
         let matching = words(command, &[database, (self.use_gpu[1], &gpu), (option, &value)]);

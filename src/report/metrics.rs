@@ -129,7 +129,7 @@ pub(super) fn ssim_of(
     counts: impl Fn(usize) -> bool + Sync,
     value: impl Fn(usize, usize) -> [f64; 2] + Sync,
 ) -> f64 {
-    let of_channel = |channel: usize| channel_ssim(size, &counts, &|pixel| value(pixel, channel));
+    let of_channel = |channel: usize| plane_ssim(size, &counts, &|pixel| value(pixel, channel));
     let channels: Vec<f64> = (0..3).into_par_iter().map(of_channel).collect();
     channels.iter().sum::<f64>() / 3.0
 }
@@ -137,11 +137,7 @@ pub(super) fn ssim_of(
 /// Rows of the similarity map that are in memory at a time.
 const BAND: usize = 64;
 
-fn channel_ssim(
-    size: [usize; 2],
-    counts: &impl Fn(usize) -> bool,
-    value: &impl Fn(usize) -> [f64; 2],
-) -> f64 {
+fn plane_ssim(size: [usize; 2], counts: &impl Fn(usize) -> bool, value: &impl Fn(usize) -> [f64; 2]) -> f64 {
     let [width, height] = size;
     let (mut sum, mut count) = (0.0, 0usize);
     for top in (0..height).step_by(BAND) {
@@ -157,12 +153,8 @@ fn channel_ssim(
 }
 
 /// Prediction, truth, their squares and their product of one channel in some rows, blurred.
-fn blurred_band(
-    [width, height]: [usize; 2],
-    value: &impl Fn(usize) -> [f64; 2],
-    rows: Range<usize>,
-) -> [Vec<f64>; 5] {
-    let weights = weights();
+fn blurred_band(size: [usize; 2], value: &impl Fn(usize) -> [f64; 2], rows: Range<usize>) -> [Vec<f64>; 5] {
+    let ([width, height], weights) = (size, weights());
     let columns: Vec<usize> = (0..width + 2 * RADIUS).map(|x| reflected(x, width)).collect();
     let mut blurred: [Vec<f64>; 5] = std::array::from_fn(|_| vec![0.0; rows.len() * width]);
     let mut line = vec![0.0; width];

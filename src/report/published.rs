@@ -135,18 +135,13 @@ impl OrbScores {
 
 /// Scores a picture of `size` (width, height) pixels: linear radiance of prediction and truth, and
 /// the coverage of the truth, row by row. `None` if nothing of the mask is left after erosion.
-pub(crate) fn orb_scores(
-    size: [usize; 2],
-    prediction: &[Vec3],
-    truth: &[Vec3],
-    coverage: &[f32],
-) -> Option<OrbScores> {
+pub(crate) fn orb_scores(size: [usize; 2], pictures: [&[Vec3]; 2], coverage: &[f32]) -> Option<OrbScores> {
     let mask = eroded(size, EROSION, |i| coverage.get(i).is_none_or(|&covered| covered > IN_MASK));
     let counted = |pixels: &[Vec3]| -> Vec<Vec3> {
         let in_mask = pixels.iter().zip(&mask).filter(|(_, counts)| **counts);
         in_mask.map(|(pixel, _)| pixel.max(Vec3::ZERO)).collect()
     };
-    let (prediction, truth) = (counted(prediction), counted(truth));
+    let [prediction, truth] = pictures.map(counted);
     if truth.is_empty() {
         return None;
     }
@@ -275,7 +270,7 @@ mod tests {
     fn a_factor_per_channel_is_no_error_to_stanford_orb() {
         let truth = picture(|i| Vec3::new(0.1, 0.2, 0.3) + 0.002 * i as f32);
         let prediction: Vec<Vec3> = truth.iter().map(|&pixel| Vec3::new(0.5, 2.0, 4.0) * pixel).collect();
-        let scores = orb_scores(ORB_SIZE, &prediction, &truth, &[]).unwrap();
+        let scores = orb_scores(ORB_SIZE, [&prediction, &truth], &[]).unwrap();
         assert!(scores.psnr_hdr > 90.0 && scores.psnr_ldr > 90.0, "{scores:?}");
     }
 
@@ -286,7 +281,7 @@ mod tests {
         let truth = picture(|i| Vec3::new(1.6 * at(i, 0), at(i, 1), 0.5 * at(i, 2)));
         let prediction = picture(|i| Vec3::new(at(i, 0) + 0.1, 0.5 * at(i, 1) + 0.2, at(i + 1, 2)));
         let coverage: Vec<f32> = (0..120).map(|i| if i % 12 < 9 && i / 12 > 0 { 1.0 } else { 0.4 }).collect();
-        let scores = orb_scores(ORB_SIZE, &prediction, &truth, &coverage).unwrap();
+        let scores = orb_scores(ORB_SIZE, [&prediction, &truth], &coverage).unwrap();
         let gaps = [scores.psnr_hdr - 17.485_288, scores.psnr_ldr - 17.657_117];
         assert!(gaps.iter().all(|gap| gap.abs() < 2e-3), "{scores:?}");
     }
@@ -295,12 +290,12 @@ mod tests {
     fn no_orb_score_is_below_gray_and_an_empty_mask_has_none() {
         let truth = picture(|i| Vec3::splat(if i % 2 == 0 { 0.2 } else { 0.3 }));
         let wrong = picture(|i| Vec3::splat(if i % 2 == 0 { 90.0 } else { 0.0 }));
-        let scores = orb_scores(ORB_SIZE, &wrong, &truth, &[]).unwrap();
+        let scores = orb_scores(ORB_SIZE, [&wrong, &truth], &[]).unwrap();
         let squares = [0.2, 0.3].map(|gray| (f64::from(srgb_from_linear(gray)) - 0.5).powi(2));
         assert!((scores.psnr_ldr - db((squares[0] + squares[1]) / 2.0)).abs() < 1e-4, "{scores:?}");
-        assert_eq!(orb_scores(ORB_SIZE, &wrong, &truth, &[0.0; 120]), None);
+        assert_eq!(orb_scores(ORB_SIZE, [&wrong, &truth], &[0.0; 120]), None);
         // Erosion by two pixels leaves nothing of a strip of four.
         let strip: Vec<f32> = (0..120).map(|i| if (3..7).contains(&(i % 12)) { 1.0 } else { 0.0 }).collect();
-        assert_eq!(orb_scores(ORB_SIZE, &wrong, &truth, &strip), None);
+        assert_eq!(orb_scores(ORB_SIZE, [&wrong, &truth], &strip), None);
     }
 }

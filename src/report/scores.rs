@@ -300,7 +300,7 @@ pub(crate) fn score_views(
             ssim: ssim(&pair),
             scale: own,
             srgb,
-            stanford_orb: own.and_then(|_| orb_scores(size, &view.prediction, &view.truth, &view.coverage)),
+            stanford_orb: own.and_then(|_| orb_scores(size, [&view.prediction, &view.truth], &view.coverage)),
             name: view.name,
         });
     }

@@ -154,15 +154,10 @@ impl Survey {
 
 /// Finds problems of views of `mesh`, the object in the coordinates of the cameras, or of an object whose shape is to be found from
 /// the masks. `up` is the data's up direction; `backgrounds` are those of some photographs, before masks make them black.
-pub fn examine(
-    mut looks: Vec<ViewLook>,
-    mesh: Option<&Mesh>,
-    up: Vec3,
-    backgrounds: &[Background],
-) -> Survey {
-    tell_apart(&mut looks);
+pub fn examine(looks: Vec<ViewLook>, mesh: Option<&Mesh>, up: Vec3, backgrounds: &[Background]) -> Survey {
     let bvh = mesh.filter(|mesh| !mesh.triangles.is_empty()).map(TriangleBvh::new);
     let mut survey = Survey { looks, has_mesh: bvh.is_some(), ..Survey::default() };
+    tell_apart(&mut survey.looks);
     survey.findings.extend(photographs::black(&survey.looks));
     survey.findings.extend(photographs::of_masks(&survey.looks, mesh.is_some()));
     let is_inverted = |finding: &&Finding| finding.name == "inverted-masks";

@@ -55,7 +55,7 @@ pub struct BenchArgs {
     json: Option<PathBuf>,
 }
 
-fn seconds(text: &str) -> std::result::Result<f64, String> {
+fn seconds(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(seconds) if (0.0..=86_400.0).contains(&seconds) => Ok(seconds),
         _ => Err("expected a number of seconds from 0 to 86400".to_owned()),
@@ -209,10 +209,7 @@ fn time_kernels(
 }
 
 /// Runs `kernel` until `budget` is spent, and once more than once at least: the first run finds cold caches.
-fn least_time(
-    budget: Duration,
-    mut kernel: impl FnMut() -> std::result::Result<(), String>,
-) -> Result<(Duration, usize)> {
+fn least_time(budget: Duration, mut kernel: impl FnMut() -> Result<(), String>) -> Result<(Duration, usize)> {
     let started = Instant::now();
     let (mut least, mut repetitions) = (Duration::MAX, 0);
     while repetitions < 2 || started.elapsed() < budget {

@@ -134,13 +134,13 @@ pub struct InfoArgs {
     conventions: ConventionArgs,
 }
 
-fn size(text: &str) -> std::result::Result<(u32, u32), String> {
+fn size(text: &str) -> Result<(u32, u32), String> {
     let side = |side: &str| side.trim().parse::<u32>().ok().filter(|n| (1..=16_384).contains(n));
     let sides = text.split_once(['x', '×']).and_then(|(width, height)| side(width).zip(side(height)));
     sides.ok_or_else(|| "expected WIDTHxHEIGHT, each 1 to 16384, e.g. 512x256".to_owned())
 }
 
-fn numbers<const N: usize>(text: &str) -> std::result::Result<[f32; N], String> {
+fn numbers<const N: usize>(text: &str) -> Result<[f32; N], String> {
     let values: Option<Vec<f32>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
     let finite = values.filter(|values| values.iter().all(|v| v.is_finite()));
     let example = ["1"; N].join(",");

@@ -25,7 +25,7 @@ pub struct SceneArgs {
     pub sets: Vec<(String, String)>,
 }
 
-fn path_and_value(text: &str) -> std::result::Result<(String, String), String> {
+fn path_and_value(text: &str) -> Result<(String, String), String> {
     let parts = text.split_once('=').map(|(path, value)| (path.trim().to_owned(), value.trim().to_owned()));
     let whole = parts.filter(|(path, value)| !path.is_empty() && !value.is_empty());
     whole.ok_or_else(|| "expected PATH=VALUE, e.g. passes.fit.steps=4".to_owned())

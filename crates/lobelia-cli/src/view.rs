@@ -57,18 +57,13 @@ pub fn run(args: &ViewArgs) -> Result<()> {
 }
 
 /// The scene without its views, and a note, if it is only their data set that is no longer there.
-fn without_data(
-    scene: &Path,
-    options: &LoadOptions,
-    error: Error,
-    progress: &dyn Progress,
-) -> Result<LoadedScene> {
+fn without_data(scene: &Path, options: &LoadOptions, error: Error, shown: &Terminal) -> Result<LoadedScene> {
     // A scene has at least one camera.
     let sets = [("views", r#"Cameras([(name: "none", eye: (0, 0, 1))])"#), ("passes", "[]")];
     let sets = sets.map(|(path, value)| (path.to_owned(), value.to_owned())).to_vec();
     let Ok(mut loaded) = load(scene, &LoadOptions { sets, ..options.clone() }) else { return Err(error) };
     loaded.scene.views = Views::Cameras(Vec::new());
-    progress.note(&format!("the page has neither photographs nor their cameras:\n{error}"));
+    shown.note(&format!("the page has neither photographs nor their cameras:\n{error}"));
     Ok(loaded)
 }
 

@@ -319,12 +319,8 @@ fn scores(runs: &[RunReport]) -> String {
 }
 
 /// A score of run `i`, and its difference from that of the first run.
-fn cell(
-    runs: &[RunReport],
-    i: usize,
-    Unit(digits, better): Unit,
-    of: impl Fn(&RunReport) -> Option<f64>,
-) -> String {
+fn cell(runs: &[RunReport], i: usize, unit: Unit, of: impl Fn(&RunReport) -> Option<f64>) -> String {
+    let Unit(digits, better) = unit;
     let Some(value) = of(&runs[i]) else { return NOTHING.to_owned() };
     let shown = format!("{value:.digits$}");
     let Some(first) = of(&runs[0]).filter(|_| i > 0) else { return shown };
@@ -536,7 +532,7 @@ fn curves(runs: &[RunReport]) -> String {
             let series = logs().filter_map(|(color, name, log)| {
                 Some(Series { name, color, points: points(log, column, columns)? })
             });
-            svg(title, label, *logarithmic, series)
+            svg(title, label, *logarithmic, series.collect())
         };
         PLOTS.iter().map(chart).collect()
     };

@@ -78,13 +78,7 @@ fn short(value: f64) -> String {
 
 /// The chart of curves over a common axis as an SVG element; empty if no curve has a point. On a
 /// `logarithmic` vertical axis, values that are not positive are left out.
-pub(super) fn svg(
-    title: &str,
-    across_label: &str,
-    logarithmic: bool,
-    series: impl IntoIterator<Item = Series>,
-) -> String {
-    let mut series: Vec<Series> = series.into_iter().collect();
+pub(super) fn svg(title: &str, across_label: &str, logarithmic: bool, mut series: Vec<Series>) -> String {
     for curve in &mut series {
         curve.points.retain(|p| p.iter().all(|v| v.is_finite()) && (!logarithmic || p[1] > 0.0));
     }
@@ -143,7 +137,8 @@ mod tests {
     use super::*;
 
     fn chart(points: &[[f64; 2]], logarithmic: bool) -> String {
-        svg("loss", "steps", logarithmic, [Series { name: "a<b".into(), color: 1, points: points.to_vec() }])
+        let series = Series { name: "a<b".into(), color: 1, points: points.to_vec() };
+        svg("loss", "steps", logarithmic, vec![series])
     }
 
     #[test]
