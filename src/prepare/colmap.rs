@@ -70,12 +70,10 @@ impl Reconstruction<'_> {
     pub fn run(&self, work: &mut Work) -> Result<Prepared> {
         let Self { options, photographs, .. } = self;
         let gpu = if options.gpu { "1" } else { "0" };
-        let cameras = if options.camera_per_image {
-            "--ImageReader.single_camera_per_image"
-        } else if photographs.iter().any(|photograph| photograph.name.contains('/')) {
-            "--ImageReader.single_camera_per_folder"
-        } else {
-            "--ImageReader.single_camera"
+        let cameras = match photographs.iter().any(|photograph| photograph.name.contains('/')) {
+            _ if options.camera_per_image => "--ImageReader.single_camera_per_image",
+            true => "--ImageReader.single_camera_per_folder",
+            false => "--ImageReader.single_camera",
         };
         let lens = ("--ImageReader.camera_model", &options.lens as _);
         let mut features = over_photographs(work, "feature_extractor", &[lens, (cameras, &"1")]);

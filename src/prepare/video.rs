@@ -117,8 +117,7 @@ fn input_words(video: &Path) -> Vec<OsString> {
     let mut words: Vec<OsString> =
         ["-hide_banner", "-nostdin", "-nostats", "-progress", "pipe:1", "-i"].map(Into::into).into();
     // A name such as `-a.mp4` or `a:b.mp4` would be an option or a protocol.
-    let is_plain = video.is_absolute();
-    words.push(if is_plain { video.into() } else { Path::new(".").join(video).into_os_string() });
+    words.push(if video.is_absolute() { video.into() } else { Path::new(".").join(video).into_os_string() });
     words.extend(["-an", "-sn", "-dn"].map(OsString::from));
     words
 }

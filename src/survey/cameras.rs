@@ -120,12 +120,12 @@ pub(super) fn check_meeting(looks: &[ViewLook]) -> Result<()> {
         return Err(Error::usage(problem, help));
     }
     let sights: Vec<Sight> = outlines.iter().map(|(_, sight)| *sight).collect();
-    let meeting = meeting_point(&sights).ok_or_else(|| {
+    let Some(meeting) = meeting_point(&sights) else {
         let problem = "all views look along one line: the distance of the object cannot be determined";
         let help = "Add views from other sides, and give each its own pose in the frame of the object: of an object that turns before a \
                     fixed camera, as if the camera went around it. `lobelia prepare PHOTOS OUT` finds such poses.";
-        Error::usage(problem, help)
-    })?;
+        return Err(Error::usage(problem, help));
+    };
     let is_behind = |sight: &Sight| sight.direction.dot(meeting - sight.origin) < 0.0;
     let behind = outlines.iter().filter(|(_, sight)| is_behind(sight));
     let behind: Vec<&str> = behind.map(|(view, _)| view.name.as_str()).collect();

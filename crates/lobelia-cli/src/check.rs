@@ -119,11 +119,10 @@ fn summary(
         true => table::verdict(surveyed, usize::from(has_further_error)),
         false => "the scene file is fine; its data was not looked at: say --data DIR".to_owned(),
     };
-    let files = match (loaded.files.len(), loaded.unseen.len()) {
-        (found, 0) => format!("{found} named, all found"),
-        (found, unseen) => {
-            format!("{found} found, {unseen} below $DATA not looked for (say --data DIR to look)")
-        }
+    let found = loaded.files.len();
+    let files = match loaded.unseen.len() {
+        0 => format!("{found} named, all found"),
+        unseen => format!("{found} found, {unseen} below $DATA not looked for (say --data DIR to look)"),
     };
     let mut rows = vec![
         ("surface", surface(scene)),

@@ -3,10 +3,9 @@
 use super::start::{ThreadArgs, refuse_foreign, start_threads};
 use super::terminal::Terminal;
 use clap::Args;
-use lobelia::light::convention::MapConvention;
 use lobelia::pass::progress::Progress;
 use lobelia::scene::{LightSource, LoadOptions, LoadedScene, ViewPass, Views, load};
-use lobelia::{Error, Result, codec::npy::NpyConvention, glam::Vec3, pass::view::PAGE, pass::write_view};
+use lobelia::{Error, Result, glam::Vec3, pass::view::PAGE, pass::write_view};
 use std::path::{Path, PathBuf};
 
 /// Writes OUT/view.html: one page that shows the object that a run saved, and needs nothing else, no server and no network.
@@ -88,15 +87,13 @@ fn light(path: &Path) -> (String, LightSource) {
     let (path, scale, rotation_degrees) = (path.to_owned(), 1.0, Vec3::ZERO);
     let source = match ending.to_str() {
         Some("ron") => LightSource::Ron { path, scale, rotation_degrees },
-        Some("npy") => {
-            LightSource::Npy { path, convention: NpyConvention::default(), scale, rotation_degrees }
-        }
+        Some("npy") => LightSource::Npy { path, convention: Default::default(), scale, rotation_degrees },
         _ => LightSource::Map {
             path,
             scale,
             rotation_degrees,
             lobes: MAP_LOBES,
-            convention: MapConvention::default(),
+            convention: Default::default(),
             upper_hemisphere: false,
             white: false,
         },
