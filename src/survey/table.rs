@@ -28,12 +28,10 @@ pub fn findings(survey: &Survey) -> String {
 /// "fine", "2 warnings", "1 error, 2 warnings"; `further_errors` are those that no survey finds.
 pub fn verdict(survey: Option<&Survey>, further_errors: usize) -> String {
     let count = |severity| survey.map_or(0, |survey| survey.findings_of(severity).count());
-    match (count(Severity::Error) + further_errors, count(Severity::Warning)) {
-        (0, 0) => "fine".to_owned(),
-        (0, warnings) => counted(warnings, "warning"),
-        (errors, 0) => counted(errors, "error"),
-        (errors, warnings) => format!("{}, {}", counted(errors, "error"), counted(warnings, "warning")),
-    }
+    let counts = [(count(Severity::Error) + further_errors, "error"), (count(Severity::Warning), "warning")];
+    let found = counts.into_iter().filter(|(count, _)| *count > 0).map(|(count, noun)| counted(count, noun));
+    let found: Vec<String> = found.collect();
+    if found.is_empty() { "fine".to_owned() } else { found.join(", ") }
 }
 
 /// "PhySg: 6 training views of 800×600, 2 test views of 640×480 to 4000×3000".

@@ -62,13 +62,15 @@ fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Shading modes that are measured: their names on processors and on a graphics adapter, with the NDF of their material. A further mode is
-/// one more line.
-const MODES: [([&str; 2], ClosedForm, Ndf); 4] = [
-    (["published", "published-gpu"], ClosedForm::Published, Ndf::Sg),
-    (["accurate", "accurate-gpu"], ClosedForm::Accurate(Quality::Default), Ndf::Sg),
-    (["accurate-high", "high-gpu"], ClosedForm::Accurate(Quality::High), Ndf::Sg),
-    (["accurate-ggx", "ggx-gpu"], ClosedForm::Accurate(Quality::Default), Ndf::Ggx),
+/// A mode: its name, its closed form, the NDF of its material.
+type Mode = (&'static str, ClosedForm, Ndf);
+
+/// Shading modes that are measured, each with its name on a graphics adapter. A further mode is one more line.
+const MODES: [(Mode, &str); 4] = [
+    (("published", ClosedForm::Published, Ndf::Sg), "published-gpu"),
+    (("accurate", ClosedForm::Accurate(Quality::Default), Ndf::Sg), "accurate-gpu"),
+    (("accurate-high", ClosedForm::Accurate(Quality::High), Ndf::Sg), "high-gpu"),
+    (("accurate-ggx", ClosedForm::Accurate(Quality::Default), Ndf::Ggx), "ggx-gpu"),
 ];
 
 /// Roughness of the specular lobe: glossy, between, rough.
@@ -113,19 +115,19 @@ fn bench(args: &BenchArgs, mut on_row: impl FnMut(&BenchRow) -> Result<()>) -> R
         (None, 1) => vec![1],
         (None, all) => vec![1, all],
     };
-    // Device, instruction set, threads, mode, closed form, NDF.
-    let mut parts: Vec<(&dyn PairLoops, &str, usize, &str, ClosedForm, Ndf)> = Vec::new();
+    // Device, instruction set, threads, and what is measured.
+    let mut parts: Vec<(&dyn PairLoops, &str, usize, Mode)> = Vec::new();
     for threads in threads {
-        parts.extend(MODES.map(|([name, _], form, ndf)| (&Cpu as _, level_name(), threads, name, form, ndf)));
+        parts.extend(MODES.map(|(mode, _)| (&Cpu as _, level_name(), threads, mode)));
     }
     if let Some(ShadingDevice(gpu)) = &gpu {
-        let on_gpu = MODES.into_iter().filter(|(_, form, ndf)| gpu.supports(*form, *ndf));
-        parts.extend(on_gpu.map(|([_, name], form, ndf)| (&**gpu, "gpu", 1, name, form, ndf)));
+        let on_gpu = MODES.into_iter().filter(|((_, form, ndf), _)| gpu.supports(*form, *ndf));
+        parts.extend(on_gpu.map(|((_, form, ndf), name)| (&**gpu, "gpu", 1, (name, form, ndf))));
     }
     let count = parts.len() * args.lobes.len() * ROUGHNESS.len();
     let budget = Duration::from_secs_f64(args.seconds / (2 * count) as f64);
     let mut rows = Vec::with_capacity(count);
-    for (device, simd, threads, mode, form, ndf) in parts {
+    for (device, simd, threads, (mode, form, ndf)) in parts {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         let pool = pool.map_err(|error| Error::run("starting threads", error.to_string()))?;
         for lobes in args.lobes.iter().map(|lobes| *lobes as usize) {

@@ -442,8 +442,7 @@ fn card(runs: &[RunReport], pass: &str, name: &str, of_runs: &[RunView], truth: 
     };
     let true_picture = of_runs.iter().find_map(|(view, _)| (*view)?.truth.as_ref());
     let rows = if runs.len() > 1 && true_picture.is_some() { " several" } else { "" };
-    let mut parts: String =
-        true_picture.map(|address| part("t", truth.to_owned(), address)).into_iter().collect();
+    let mut parts = true_picture.map_or(String::new(), |address| part("t", truth.to_owned(), address));
     let mut lines = String::new();
     for (i, (view, scores)) in of_runs.iter().enumerate() {
         let of = if_several(runs, || format!("{}: ", escaped(&runs[i].name)));
@@ -592,8 +591,8 @@ fn passes(runs: &[RunReport]) -> String {
     let rows = named_rows(runs, |run| run.passes.iter().map(cell).collect());
     let mut text = by_run(runs, "Time of each pass; largest memory of the process until its end", rows);
     for (i, run) in runs.iter().enumerate() {
-        let lines = [&run.said].into_iter().chain(run.passes.iter().map(|pass| &pass.said));
-        let lines: Vec<String> = lines.flatten().cloned().collect();
+        let lines = run.said.iter().chain(run.passes.iter().flat_map(|pass| &pass.said));
+        let lines: Vec<&str> = lines.map(String::as_str).collect();
         if !lines.is_empty() {
             text += &text_of(runs, i, runs.len() == 1, "Lines of the run", &lines.join("\n"));
         }
