@@ -1,8 +1,7 @@
 //! Tells the command its version, with the commit it is built from: `0.1.0 (abcdef123 2026-11-21)`. Without git, or apart from
 //! this repository (in a package, say), it is the version alone.
 
-use std::path::Path;
-use std::process::Command;
+use std::{path::Path, process::Command};
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");

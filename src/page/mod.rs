@@ -1,58 +1,38 @@
 //! The page that shows the object in a browser: one HTML file that holds everything, and asks no server for anything.
 //!
-//! `assets/` has the page itself: HTML, style, script and shaders, as they are served; `pack` the
-//! arrays of numbers. The page shades every pixel by the closed forms of
-//! [`accurate`](lobelia_sg::accurate), ported to GLSL, with all lobes, all base materials, and
-//! shadows and reflected light found as [`visibility`](lobelia_solve::visibility) finds them.
+//! `assets/` has the page itself: HTML, style, script and shaders, as they are served; `pack` the arrays of numbers. The page shades every
+//! pixel by the closed forms of [`accurate`](lobelia_sg::accurate), ported to GLSL, with all lobes, all base materials, and shadows and
+//! reflected light found as [`visibility`](lobelia_solve::visibility) finds them.
 
 mod pack;
 
-use crate::report::html::{escaped, filled};
-use crate::report::tone::MAT;
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
+use crate::{report::html::escaped, report::html::filled, report::tone::MAT};
+use base64::{Engine as _, engine::general_purpose::STANDARD};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
-use lobelia_geometry::mesh::Surface;
 use lobelia_geometry::view::{Camera, PixelWindow, Split};
-use lobelia_sg::brdf::Ndf;
-use lobelia_sg::color::srgb_from_linear;
+use lobelia_geometry::{Result, mesh::Surface};
+use lobelia_sg::{brdf::Ndf, color::srgb_from_linear};
 use lobelia_solve::visibility::ObjectVisibility;
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::light_frame::LightFrame;
-use lobelia_world::material::edit::MaterialState;
 use lobelia_world::material::sheen::has_sheen;
 use lobelia_world::material::tilt::has_tilt;
+use lobelia_world::{light::LightLobe, light::light_frame::LightFrame, material::edit::MaterialState};
 use pack::{Pack, pack_mesh, pack_visibility};
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
 
 /// The page without its data.
 const PAGE: &str = include_str!("assets/page.html");
 /// Its style.
 const STYLE: &str = include_str!("assets/style.css");
+/// Modules of `assets/`, by their names.
+macro_rules! modules {
+    ($($name:literal)*) => { [$(($name, include_str!(concat!("assets/", $name, ".js")))),*] };
+}
 /// Its modules, by the names under which they import each other; the last one starts the page.
-const MODULES: [(&str, &str); 20] = [
-    ("data", include_str!("assets/data.js")),
-    ("linear", include_str!("assets/linear.js")),
-    ("gpu", include_str!("assets/gpu.js")),
-    ("light", include_str!("assets/light.js")),
-    ("masks", include_str!("assets/masks.js")),
-    ("shadow", include_str!("assets/shadow.js")),
-    ("camera", include_str!("assets/camera.js")),
-    ("renderer", include_str!("assets/renderer.js")),
-    ("regions", include_str!("assets/regions.js")),
-    ("brush", include_str!("assets/brush.js")),
-    ("ron", include_str!("assets/ron.js")),
-    ("history", include_str!("assets/history.js")),
-    ("mapfile", include_str!("assets/mapfile.js")),
-    ("mapfit", include_str!("assets/mapfit.js")),
-    ("lightfile", include_str!("assets/lightfile.js")),
-    ("lightball", include_str!("assets/lightball.js")),
-    ("compare", include_str!("assets/compare.js")),
-    ("controls", include_str!("assets/controls.js")),
-    ("pace", include_str!("assets/pace.js")),
-    ("main", include_str!("assets/main.js")),
-];
+const MODULES: [(&str, &str); 20] = modules!(
+    "data" "linear" "gpu" "light" "masks" "shadow" "camera" "renderer" "regions" "brush" "ron"
+    "history" "mapfile" "mapfit" "lightfile" "lightball" "compare" "controls" "pace" "main"
+);
 /// Its shaders, by name.
 const SHADERS: [(&str, &str); 10] = [
     ("octahedral", include_str!("assets/octahedral.glsl")),
@@ -133,21 +113,19 @@ pub struct Contents<'a> {
 pub fn html(contents: &Contents) -> Result<String> {
     let mut pack = Pack::default();
     let mut scene = describe(contents, &mut pack)?;
-    scene["arrays"] = pack.table();
-    let text = |text: &str| Value::String(text.to_owned());
-    let imports = MODULES.iter().map(|(name, module)| {
+    scene["arrays"] = Value::Object(pack.table.clone());
+    let imports = MODULES.map(|(name, module)| {
         let address = format!("data:text/javascript;base64,{}", STANDARD.encode(module));
-        (format!("lobelia/{name}"), text(&address))
+        (format!("lobelia/{name}"), address)
     });
-    let shaders = SHADERS.iter().map(|(name, shader)| ((*name).to_owned(), text(shader)));
     // Inside a script element, no other element may seem to begin or end.
     let in_script = |value: &Value| value.to_string().replace('<', "\\u003c");
     let slots = [
         ("{{TITLE}}", escaped(contents.title)),
         ("{{STYLE}}", STYLE.to_owned()),
         ("{{VERSION}}", env!("CARGO_PKG_VERSION").to_owned()),
-        ("{{IMPORTS}}", json!({ "imports": imports.collect::<Map<_, _>>() }).to_string()),
-        ("{{SHADERS}}", in_script(&Value::Object(shaders.collect()))),
+        ("{{IMPORTS}}", json!({ "imports": BTreeMap::from(imports) }).to_string()),
+        ("{{SHADERS}}", in_script(&json!(BTreeMap::from(SHADERS)))),
         ("{{SCENE}}", in_script(&scene)),
         ("{{BLOCK}}", pack.block()?),
     ];
@@ -165,8 +143,7 @@ fn describe(contents: &Contents, pack: &mut Pack) -> Result<Value> {
         pack.bytes("along", &albedo_bytes(contents, |i| material.albedo[i].0 + material.sheen[i].0));
     }
     if has_tilt(&material.tilt) {
-        // Each component as 128 and 4 times a number from −31 to 31, because fewer values are
-        // packed into less, and 255.
+        // Each component as 128 and 4 times a number from −31 to 31, because fewer values are packed into less, and 255.
         let byte = |t: f32| (128.0 + 4.0 * (31.0 * t.clamp(-1.0, 1.0)).round()) as u8;
         let tilts = material.tilt.iter().flat_map(|tilt| {
             let [x, y, z] = tilt.0.to_array().map(byte);
@@ -186,8 +163,8 @@ fn describe(contents: &Contents, pack: &mut Pack) -> Result<Value> {
     };
     let mut lights: Vec<Value> = Vec::new();
     for (i, PageLight { name, lobes, frame, own }) in contents.lights.iter().enumerate() {
-        let numbers = lobes.iter().flat_map(|LightLobe { axis, sharpness, amplitude }| {
-            [axis.x, axis.y, axis.z, *sharpness, amplitude.x, amplitude.y, amplitude.z]
+        let numbers = lobes.iter().flat_map(|LightLobe { axis: a, sharpness, amplitude: c }| {
+            [a.x, a.y, a.z, *sharpness, c.x, c.y, c.z]
         });
         pack.floats(&format!("light{i}"), numbers)?;
         let frame = match frame {
@@ -278,18 +255,13 @@ mod tests {
             sheen: vec![DiffuseSheen(Vec3::new(0.25, 0.0, -0.5)); count],
             tilt: vec![DiffuseTilt(Vec3::new(0.25, 0.0, -0.5)); count],
             blends: vec![SpecularBlend::even(2); count],
-            lobes: vec![
-                Some(SpecularLobe::new(Vec3::splat(0.04), 0.5)),
-                Some(SpecularLobe::new(Vec3::ONE, 0.2)),
-            ],
+            lobes: [(0.04, 0.5), (1.0, 0.2)]
+                .map(|(albedo, roughness)| Some(SpecularLobe::new(Vec3::splat(albedo), roughness)))
+                .into(),
         };
-        let lobe = LightLobe { axis: Vec3::Y, sharpness: 3.0, amplitude: Vec3::ONE };
-        let light = |name: &str, own| PageLight {
-            name: name.into(),
-            lobes: vec![lobe; 3],
-            frame: LightFrame::World,
-            own,
-        };
+        let lobes = vec![LightLobe { axis: Vec3::Y, sharpness: 3.0, amplitude: Vec3::ONE }; 3];
+        let frame = LightFrame::World;
+        let light = |name: &str, own| PageLight { name: name.into(), lobes: lobes.clone(), frame, own };
         let camera = Camera::look_at(Vec3::new(0.0, 0.0, 3.0), Vec3::ZERO, Vec3::Y, 38.0, 32, 24).unwrap();
         let contents = Contents {
             title: "a </title><script> & more",
@@ -298,24 +270,19 @@ mod tests {
             material: &material,
             edits: vec!["Roughness(action: Set(0.2))".into()],
             lights: vec![light("found", true), light("</script>{{BLOCK}}", false)],
-            cameras: vec![
-                PageCamera { name: "bare".into(), split: Split::Train, camera, photograph: None },
-                PageCamera {
-                    name: "front".into(),
-                    split: Split::Test,
-                    camera,
-                    photograph: Some(photograph()),
-                },
-            ],
+            cameras: [("bare", Split::Train, None), ("front", Split::Test, Some(photograph()))]
+                .map(|(name, split, photograph)| PageCamera { name: name.into(), split, camera, photograph })
+                .into(),
             visibility: None,
         };
         html(&contents).unwrap()
     }
 
+    const ADDRESS: &str = "data:image/jpeg;base64,AAAA";
+
     fn photograph() -> PagePhotograph {
         let window = PixelWindow { x: 3, y: 4, width: 8, height: 4 };
-        let address = "data:image/jpeg;base64,AAAA".into();
-        PagePhotograph { window, size: [4, 2], address, coverage: Some((0..8).collect()) }
+        PagePhotograph { window, size: [4, 2], address: ADDRESS.into(), coverage: Some((0..8).collect()) }
     }
 
     /// Returns the part of `text` between two others.
@@ -412,22 +379,20 @@ mod tests {
         assert_eq!(scene["cameras"][0]["photograph"], Value::Null);
         let photograph = &scene["cameras"][1]["photograph"];
         assert_eq!((&photograph["window"], &photograph["size"]), (&json!([3, 4, 8, 4]), &json!([4, 2])));
-        assert_eq!(
-            (&photograph["mat"], &photograph["address"]),
-            (&json!(MAT), &json!("data:image/jpeg;base64,AAAA"))
-        );
+        assert_eq!((&photograph["mat"], &photograph["address"]), (&json!(MAT), &json!(ADDRESS)));
         assert_eq!(array(&page, &scene, "coverage1", 1).concat(), [0, 1, 2, 3, 4, 5, 6, 7]);
         assert_eq!(scene["edits"], json!(["Roughness(action: Set(0.2))"]));
-        let albedo = array(&page, &scene, "albedo", 1);
-        assert_eq!(albedo[..3].concat(), [188, 137, 255]);
-        let along = array(&page, &scene, "along", 1);
-        assert_eq!(along[..3].concat(), [225, 137, 188], "albedo and sheen");
-        let tilt = array(&page, &scene, "tilt", 1);
-        assert_eq!(tilt[..4].concat(), [160, 128, 64, 255], "31 steps to each side of 128, 4 apart");
-        let light: Vec<f32> = array(&page, &scene, "light1", 4)
-            .iter()
-            .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
-            .collect();
+        for (name, expected) in [
+            ("albedo", [188, 137, 255]),
+            // Albedo and sheen.
+            ("along", [225, 137, 188]),
+            // 31 steps to each side of 128, 4 apart.
+            ("tilt", [160, 128, 64]),
+        ] {
+            assert_eq!(array(&page, &scene, name, 1)[..3].concat(), expected, "{name}");
+        }
+        let light = array(&page, &scene, "light1", 4);
+        let light: Vec<f32> = light.iter().map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
         assert_eq!(light[..7], [0.0, 1.0, 0.0, 3.0, 1.0, 1.0, 1.0]);
         assert_eq!(light.len(), 21);
     }

@@ -1,38 +1,30 @@
-//! Arrays of numbers in one compressed block of text, with a table of what is where. The mesh is
-//! among them in 16-bit numbers: positions in its box, normals as octahedral coordinates, texture
-//! coordinates in their range; and the data for shadows and reflected light under any light on the
-//! page, as in [`visibility`](lobelia_solve::visibility).
+//! Arrays of numbers in one compressed block of text, with a table of what is where. The mesh is among them in 16-bit numbers: positions in
+//! its box, normals as octahedral coordinates, texture coordinates in their range; and the data for shadows and reflected light under any
+//! light on the page, as in [`visibility`](lobelia_solve::visibility).
 //!
 //! Each array may be kept as differences from the element `delta` places before, and its bytes are sorted by significance; both
 //! make the block smaller under deflate, and `data.js` undoes them. Numbers are little-endian.
 //!
-//! The hidden directions are kept for every texel, one picture of bits per direction: neighboring
-//! texels are alike, and a picture of them is small once deflated. The patch that hides a direction
-//! is kept for patches of the surface, of which there are at most `MOST_PATCHES`: cells of a grid
-//! in space, divided by the side that the surface faces.
+//! The hidden directions are kept for every texel, one picture of bits per direction: neighboring texels are alike, and a picture of them
+//! is small once deflated. The patch that hides a direction is kept for patches of the surface, of which there are at most `MOST_PATCHES`:
+//! cells of a grid in space, divided by the side that the surface faces.
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
-use flate2::Compression;
-use flate2::write::DeflateEncoder;
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+use flate2::{Compression, write::DeflateEncoder};
 use glam::{IVec3, Vec2, Vec3};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::Surface;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_solve::visibility::ObjectVisibility;
-use lobelia_solve::visibility::texel_visibility::TexelVisibility;
-use lobelia_world::material::MAX_SPECULAR_LOBES;
-use lobelia_world::material::edit::MaterialState;
+use lobelia_geometry::{Error, Result, mesh::Surface, mesh::triangles::Mesh};
+use lobelia_solve::{visibility::ObjectVisibility, visibility::texel_visibility::TexelVisibility};
 use lobelia_world::material::sheen::mean_albedo;
+use lobelia_world::{material::MAX_SPECULAR_LOBES, material::edit::MaterialState};
 use serde_json::{Map, Value, json};
-use std::collections::HashMap;
-use std::io::Write as _;
+use std::{collections::HashMap, io::Write as _};
 
 /// Arrays that are packed one after another.
 #[derive(Default)]
 pub(super) struct Pack {
     bytes: Vec<u8>,
-    table: Map<String, Value>,
+    /// Where each array is in the block.
+    pub table: Map<String, Value>,
 }
 
 impl Pack {
@@ -48,9 +40,6 @@ impl Pack {
     }
 
     /// Adds finite single-precision numbers.
-    ///
-    /// # Errors
-    /// [`Error::Run`] if one is not finite.
     pub fn floats(&mut self, name: &str, values: impl IntoIterator<Item = f32>) -> Result<()> {
         let bits: Vec<u32> = values.into_iter().map(f32::to_bits).collect();
         if let Some(bad) = bits.iter().position(|bits| !f32::from_bits(*bits).is_finite()) {
@@ -76,15 +65,7 @@ impl Pack {
         }
     }
 
-    /// Where each array is in the block.
-    pub fn table(&self) -> Value {
-        Value::Object(self.table.clone())
-    }
-
     /// The block: deflated, in base64.
-    ///
-    /// # Errors
-    /// If it cannot be compressed, which does not happen in memory.
     pub fn block(&self) -> Result<String> {
         let mut encoder = DeflateEncoder::new(Vec::new(), Compression::best());
         let deflated = encoder.write_all(&self.bytes).and_then(|()| encoder.finish());
@@ -111,11 +92,9 @@ impl Range {
 
     fn of(values: impl Iterator<Item = f32>) -> Self {
         let (low, high) = values.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
-        let size = high - low;
-        if size > 0.0 {
-            Self { low, size }
-        } else {
-            Self { low: if low.is_finite() { low } else { 0.0 }, size: 1.0 }
+        match high - low {
+            size if size > 0.0 => Self { low, size },
+            _ => Self { low: if low.is_finite() { low } else { 0.0 }, size: 1.0 },
         }
     }
 }
@@ -123,14 +102,12 @@ impl Range {
 /// Octahedral coordinates of a unit direction as 16-bit fractions of [−1, 1].
 fn octahedral(direction: Vec3) -> [u16; 2] {
     let sum = direction.abs().element_sum().max(f32::MIN_POSITIVE);
-    let flat = Vec2::new(direction.x, direction.y) / sum;
-    let folded = if direction.z < 0.0 {
+    let mut flat = Vec2::new(direction.x, direction.y) / sum;
+    if direction.z < 0.0 {
         let sign = |x: f32| if x < 0.0 { -1.0 } else { 1.0 };
-        Vec2::new((1.0 - flat.y.abs()) * sign(flat.x), (1.0 - flat.x.abs()) * sign(flat.y))
-    } else {
-        flat
-    };
-    folded.to_array().map(|value| Range { low: -1.0, size: 2.0 }.fraction(value))
+        flat = Vec2::new((1.0 - flat.y.abs()) * sign(flat.x), (1.0 - flat.x.abs()) * sign(flat.y));
+    }
+    flat.to_array().map(|value| Range { low: -1.0, size: 2.0 }.fraction(value))
 }
 
 /// Packs the mesh and returns the ranges of its numbers.
@@ -160,9 +137,6 @@ const STEPS: f32 = 15.0;
 const MOST_BITS: usize = 1 << 28;
 
 /// Packs the visibility of the texels of a surface.
-///
-/// # Errors
-/// [`Error::Usage`] for more texels × directions than a page can hold.
 pub(super) fn pack_visibility(
     pack: &mut Pack,
     surface: &Surface,
@@ -197,9 +171,8 @@ pub(super) fn pack_visibility(
     }
     let means = sums.iter().zip(&counts).flat_map(|(sum, count)| sum.map(|value| value / count));
     pack.floats("patchMeans", means)?;
-    Ok(json!({
-        "directions": texels.directions.len(), "bounces": settings.bounces, "patches": patches,
-    }))
+    let directions = texels.directions.len();
+    Ok(json!({ "directions": directions, "bounces": settings.bounces, "patches": patches }))
 }
 
 /// One picture of bits per direction: bit `t % 8` of byte `t / 8` is set if the direction is hidden from texel `t`.
@@ -242,8 +215,7 @@ fn side(normal: Vec3) -> usize {
     2 * axis + usize::from(normal[axis] < 0.0)
 }
 
-/// For each patch and direction: the patch that hides it, and above its 12 bits the part of the
-/// texels for which it is hidden.
+/// For each patch and direction: the patch that hides it, and above its 12 bits the part of the texels for which it is hidden.
 fn hiders(texels: &TexelVisibility, patches: usize, of_texel: &[u16]) -> Vec<u16> {
     let directions = texels.directions.len();
     let mut found = vec![NONE; patches * directions];
@@ -312,7 +284,7 @@ pub(super) mod tests {
         assert_eq!(bytes[3..11], [1, 3, 0xfe, 0xfd, 0, 2, 0xff, 0xfd]);
         assert_eq!(bytes[11..19], [5, 0xff, 0, 0xff, 0, 0xff, 0, 0xff]);
         assert_eq!(bytes[19..], 1.0f32.to_le_bytes());
-        let at: Vec<u64> = ["a", "b", "c", "d"].map(|name| pack.table()[name]["at"].as_u64().unwrap()).into();
+        let at: Vec<u64> = ["a", "b", "c", "d"].map(|name| pack.table[name]["at"].as_u64().unwrap()).into();
         assert_eq!(at, [0, 3, 11, 19]);
     }
 

@@ -3,19 +3,13 @@
 use crate::prepare::photographs::{FEWEST, PhotographFile};
 use crate::prepare::work::{Program, Work, make_folder_of, remove, words};
 use crate::prepare::{Matching, PrepareOptions, Prepared};
-use image::codecs::jpeg::JpegEncoder;
-use image::{DynamicImage, GrayImage};
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::error::{Error, Result};
+use image::{DynamicImage, GrayImage, codecs::jpeg::JpegEncoder};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::file::{read_bytes, write_bytes};
 use lobelia_io::codec::image::{decode, image_header};
-use lobelia_io::codec::nearby::missing_file_help;
-use lobelia_io::codec::png_file::write_gray8;
 use lobelia_io::dataset::colmap::{LargestModel, largest_model};
-use std::collections::BTreeSet;
-use std::ffi::{OsStr, OsString};
-use std::fs;
-use std::path::Path;
+use lobelia_io::{codec::nearby::missing_file_help, codec::png_file::write_gray8};
+use std::{collections::BTreeSet, ffi::OsStr, ffi::OsString, fs, path::Path};
 
 /// Help for a missing COLMAP.
 const INSTALL: &str = "Install COLMAP (Debian and Ubuntu: `apt install colmap`; macOS: `brew install colmap`; else see \
@@ -45,38 +39,27 @@ const LEAST_LEFT: f64 = 0.4;
 const NO_CAMERAS_HELP: &str = "Neighboring photographs must overlap by 60 % and more and be sharp, and the object needs texture. On a \
                                turntable, give masks and `--features object`; before a plain object, leave that out.";
 
-/// COLMAP as it is installed here.
-pub(super) struct Colmap {
-    program: Program,
-    /// Options that let features and matches use the graphics card: version 3.12 renamed their groups.
-    use_gpu: [&'static str; 2],
-}
-
-impl Colmap {
-    /// Looks for the program and asks for its options.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] that says how to install it.
-    pub fn find(path: &Path) -> Result<Self> {
-        let program = Program { path: path.to_owned(), install: INSTALL };
-        let help = program.help(&["feature_extractor", "-h"])?;
-        if !help.contains("ImageReader.single_camera") {
-            let problem = format!("the program {} is not COLMAP, or cannot run", path.display());
-            return Err(Error::usage(problem, INSTALL));
-        }
-        let use_gpu = if help.contains("FeatureExtraction.use_gpu") {
-            ["--FeatureExtraction.use_gpu", "--FeatureMatching.use_gpu"]
-        } else {
-            ["--SiftExtraction.use_gpu", "--SiftMatching.use_gpu"]
-        };
-        Ok(Self { program, use_gpu })
+/// COLMAP as it is installed here: the program, and its options that let features and matches use the graphics card; version 3.12 renamed
+/// their groups.
+pub(super) fn find(path: &Path) -> Result<(Program, [&'static str; 2])> {
+    let program = Program { path: path.to_owned(), install: INSTALL };
+    let help = program.help(&["feature_extractor", "-h"])?;
+    if !help.contains("ImageReader.single_camera") {
+        let problem = format!("the program {} is not COLMAP, or cannot run", path.display());
+        return Err(Error::usage(problem, INSTALL));
     }
+    let use_gpu = match help.contains("FeatureExtraction.use_gpu") {
+        true => ["--FeatureExtraction.use_gpu", "--FeatureMatching.use_gpu"],
+        false => ["--SiftExtraction.use_gpu", "--SiftMatching.use_gpu"],
+    };
+    Ok((program, use_gpu))
 }
 
-/// Photographs whose cameras are to be found.
+/// Photographs whose cameras are to be found, by COLMAP as [`find`] has found it.
 pub(super) struct Reconstruction<'a> {
     pub options: &'a PrepareOptions,
-    pub colmap: Colmap,
+    pub program: Program,
+    pub use_gpu: [&'static str; 2],
     pub photographs: &'a [PhotographFile],
     pub is_video: bool,
     pub has_masks: bool,
@@ -84,18 +67,13 @@ pub(super) struct Reconstruction<'a> {
 
 impl Reconstruction<'_> {
     /// Does all steps. What they make lies in `data` of `work`, as `images`, `masks` and `sparse`.
-    ///
-    /// # Errors
-    /// Errors of [`prepare`](crate::prepare::prepare).
     pub fn run(&self, work: &mut Work) -> Result<Prepared> {
         let Self { options, photographs, .. } = self;
         let gpu = if options.gpu { "1" } else { "0" };
-        let cameras = if options.camera_per_image {
-            "--ImageReader.single_camera_per_image"
-        } else if photographs.iter().any(|photograph| photograph.name.contains('/')) {
-            "--ImageReader.single_camera_per_folder"
-        } else {
-            "--ImageReader.single_camera"
+        let cameras = match photographs.iter().any(|photograph| photograph.name.contains('/')) {
+            _ if options.camera_per_image => "--ImageReader.single_camera_per_image",
+            true => "--ImageReader.single_camera_per_folder",
+            false => "--ImageReader.single_camera",
         };
         let lens = ("--ImageReader.camera_model", &options.lens as _);
         let mut features = over_photographs(work, "feature_extractor", &[lens, (cameras, &"1")]);
@@ -104,7 +82,7 @@ impl Reconstruction<'_> {
         if on_object {
             features.extend(["--ImageReader.mask_path".into(), work.path("masks").into_os_string()]);
         }
-        features.extend([self.colmap.use_gpu[0], gpu].map(OsString::from));
+        features.extend([self.use_gpu[0], gpu].map(OsString::from));
         work.step("features", &format!("{features:?}"), |work| {
             for end in ["", "-wal", "-shm"] {
                 remove(&work.path(&format!("database.db{end}")))?;
@@ -112,24 +90,16 @@ impl Reconstruction<'_> {
             self.colmap(work, "features", photographs.len(), &features)
         })?;
         let is_few = photographs.len() <= MOST_EXHAUSTIVE[usize::from(self.is_video)];
-        if !is_few && options.matching == Matching::Auto {
+        let is_guess = !is_few && options.matching == Matching::Auto;
+        if is_guess {
             work.progress.note(
                 "photographs are matched with their neighbors by name only, because they are many; --matching exhaustive matches all pairs",
             );
         }
-        let is_sequence = match options.matching {
-            Matching::Auto => !is_few,
-            matching => matching == Matching::Sequential,
-        };
+        let is_sequence = is_guess || options.matching == Matching::Sequential;
         let [command, option, value] = if is_sequence { SEQUENTIAL } else { EXHAUSTIVE };
-        let matching = words(
-            command,
-            &[
-                ("--database_path", &work.path("database.db")),
-                (self.colmap.use_gpu[1], &gpu),
-                (option, &value),
-            ],
-        );
+        let database = ("--database_path", &work.path("database.db") as _);
+        let matching = words(command, &[database, (self.use_gpu[1], &gpu), (option, &value)]);
         work.step("matching", &format!("{matching:?}"), |work| {
             self.colmap(work, "matching", 100, &matching)
         })?;
@@ -149,18 +119,14 @@ impl Reconstruction<'_> {
             if refines { self.refine(work, &folder) } else { Ok(()) }
         })?;
         work.step("undistortion", &options.keep_distortion.to_string(), |work| {
-            if options.keep_distortion {
-                self.copy(work, &model, &names)
-            } else {
-                self.undistort(work, &model, &names)
-            }
+            let make = if options.keep_distortion { Self::copy } else { Self::undistort };
+            make(self, work, &model, &names)
         })?;
-        let (mut error, analysis) = (None, words("model_analyzer", &[("--path", &model)]));
+        let (mut error, analysis) = (None::<f64>, words("model_analyzer", &[("--path", &model)]));
         // Without this number, all is there.
-        let _ = self.colmap.program.run(&analysis, &work.log("analysis"), |line| {
-            let told =
-                line.split_once("Mean reprojection error: ").map(|(_, told)| told.trim_end_matches("px"));
-            error = told.and_then(|told| told.parse::<f64>().ok()).or(error);
+        let _ = self.program.run(&analysis, &work.log("analysis"), |line| {
+            let told = line.split_once("Mean reprojection error: ");
+            error = told.and_then(|(_, told)| told.trim_end_matches("px").parse().ok()).or(error);
         });
         check_interrupted()?;
         let left_out = photographs.iter().map(|photograph| photograph.name.clone());
@@ -180,7 +146,7 @@ impl Reconstruction<'_> {
     /// Runs one of COLMAP's commands under a bar of `length` steps.
     fn colmap(&self, work: &Work, name: &str, length: usize, words: &[OsString]) -> Result<()> {
         let length = length as u64;
-        work.run(name, &self.colmap.program, words, length, |line| steps_done(line, length))
+        work.run(name, &self.program, words, length, |line| steps_done(line, length))
     }
 
     /// Cameras and points, as one or several models in folders of `models` with numbers as names.
@@ -211,21 +177,15 @@ impl Reconstruction<'_> {
     /// Finds the center of the image too, which a mapper takes for its middle: points are found anew and cameras adjusted, several times.
     fn refine(&self, work: &Work, model: &Path) -> Result<()> {
         let [refined, points] = [work.emptied("refined")?, work.emptied("points")?];
-        let run = |words: &[OsString]| self.colmap.program.run(words, &work.log("refinement"), |_| ());
+        let run = |words: &[OsString]| self.program.run(words, &work.log("refinement"), |_| ());
         let adjust = |from: &Path| {
             let center = ("--BundleAdjustment.refine_principal_point", &"1" as _);
             run(&words("bundle_adjuster", &[("--input_path", &from), ("--output_path", &refined), center]))
         };
-        let triangulation = over_photographs(
-            work,
-            "point_triangulator",
-            &[
-                ("--input_path", &refined),
-                ("--output_path", &points),
-                ("--clear_points", &"1"),
-                ("--Mapper.filter_max_reproj_error", &self.largest_error()),
-            ],
-        );
+        let error = ("--Mapper.filter_max_reproj_error", &self.largest_error() as _);
+        let (input, output) = (("--input_path", &refined as _), ("--output_path", &points as _));
+        let clear = ("--clear_points", &"1" as _);
+        let triangulation = over_photographs(work, "point_triangulator", &[input, output, clear, error]);
         let bar = work.progress.bar("refinement", ROUNDS);
         adjust(model)?;
         for _ in 0..ROUNDS {
@@ -266,10 +226,8 @@ impl Reconstruction<'_> {
             work.progress.note(note);
         }
         let run = |name: &str, images: &Path, output: &Path| {
-            let words = words(
-                "image_undistorter",
-                &[("--image_path", &images), ("--input_path", &model), ("--output_path", &output)],
-            );
+            let (photographs, model) = (("--image_path", &images as _), ("--input_path", &model as _));
+            let words = words("image_undistorter", &[photographs, model, ("--output_path", &output)]);
             self.colmap(work, name, names.len(), &words)
         };
         let data = work.emptied("data")?;
@@ -300,13 +258,8 @@ impl Reconstruction<'_> {
         run("undistortion of masks", &bent, &straight)?;
         for name in names {
             let mut mask = read_mask(&straight.join("images").join(name))?;
-            for value in mask.iter_mut() {
-                *value = match *value {
-                    dark if dark <= MASK_NOISE => 0,
-                    light if light >= 255 - MASK_NOISE => 255,
-                    edge => edge,
-                };
-            }
+            mask.iter_mut().filter(|value| **value <= MASK_NOISE).for_each(|value| *value = 0);
+            mask.iter_mut().filter(|value| **value >= 255 - MASK_NOISE).for_each(|value| *value = 255);
             write_gray8(data.join("masks").join(format!("{name}.png")), &mask)?;
         }
         Ok(())
@@ -316,10 +269,8 @@ impl Reconstruction<'_> {
 /// The words of a command that reads the database and the photographs.
 fn over_photographs(work: &Work, command: &str, more: &[(&str, &dyn AsRef<OsStr>)]) -> Vec<OsString> {
     let (database, images) = (work.path("database.db"), work.path("photographs"));
-    let mut options: Vec<(&str, &dyn AsRef<OsStr>)> =
-        vec![("--database_path", &database), ("--image_path", &images)];
-    options.extend(more);
-    words(command, &options)
+    let read = [("--database_path", &database as _), ("--image_path", &images as _)];
+    words(command, &[&read[..], more].concat())
 }
 
 /// How many of `whole` steps a line of output says are done: `Processed file [3/66]`, `Matching block [1/2, 2/2]`,

@@ -1,18 +1,13 @@
 //! Masks of the photographs, from one of several sources, each checked before it is used.
 
-use crate::pass::progress::Progress;
-use crate::prepare::PrepareOptions;
-use crate::prepare::photographs::PhotographFile;
 use crate::prepare::work::{Program, Work, make_folder_of, remove};
-use image::metadata::Orientation;
-use image::{DynamicImage, GrayImage};
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_io::codec::image::Orientation::AsStored;
+use crate::{pass::progress::Progress, prepare::PrepareOptions, prepare::photographs::PhotographFile};
+use image::{DynamicImage, GrayImage, metadata::Orientation};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::image::{Gamma, image_header, read_image, read_mask};
-use lobelia_io::codec::nearby::missing_file_help;
 use lobelia_io::codec::png_file::write_gray8;
 use lobelia_io::dataset::files::{StemIndex, file_name, find_mask};
+use lobelia_io::{codec::image::Orientation::AsStored, codec::nearby::missing_file_help};
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
@@ -25,6 +20,10 @@ pub enum MaskSource {
     Folder(PathBuf),
     /// A command per photograph, with `{in}` for the photograph and `{out}` for the mask (`.png`) that it writes.
     Command(String),
+    /// The photographs' alpha.
+    Alpha,
+    /// `rembg`, which is this program.
+    Rembg(PathBuf),
 }
 
 /// The model of rembg: the weights of its default one are not free for all uses.
@@ -38,39 +37,23 @@ impl MaskSource {
     pub fn check(&self) -> Result<()> {
         let Self::Command(command) = self else { return Ok(()) };
         let words = shlex::split(command).unwrap_or_default();
-        let problem = match words.split_first() {
-            None => "is no command line".to_owned(),
-            Some((_, words)) => {
-                let is_missing = |mark: &&str| !words.iter().any(|word| word.contains(mark));
-                let Some(mark) = ["{in}", "{out}"].into_iter().find(is_missing) else { return Ok(()) };
-                format!("has no {mark}")
-            }
+        let is_missing = |mark: &&str| !words[1..].iter().any(|word| word.contains(mark));
+        let problem = match ["{in}", "{out}"].into_iter().find(|mark| words.is_empty() || is_missing(mark)) {
+            None => return Ok(()),
+            Some(_) if words.is_empty() => "is no command line".to_owned(),
+            Some(mark) => format!("has no {mark}"),
         };
         Err(Error::usage(format!("the mask command `{command}` {problem}"), COMMAND_HELP))
     }
-}
 
-/// Maker of the masks.
-#[derive(Debug)]
-pub(super) enum MaskMaker {
-    Alpha,
-    Folder(PathBuf),
-    Command(String),
-    Rembg(PathBuf),
-}
-
-impl MaskMaker {
-    /// Returns the maker of these photographs' masks, if there are to be any; else a note says how
-    /// there would be.
-    pub fn of(
+    /// The maker of these photographs' masks, which is not `Auto`, if there are to be any; else a note says how there would be.
+    pub(super) fn decided(
         options: &PrepareOptions,
         photographs: &[PhotographFile],
         progress: &dyn Progress,
     ) -> Option<Self> {
-        match &options.masks {
-            MaskSource::Folder(folder) => return Some(Self::Folder(folder.clone())),
-            MaskSource::Command(command) => return Some(Self::Command(command.clone())),
-            MaskSource::Auto => {}
+        if options.masks != Self::Auto {
+            return Some(options.masks.clone());
         }
         let with_alpha = photographs.iter().filter(|photograph| photograph.has_alpha).count();
         if with_alpha == photographs.len() {
@@ -91,10 +74,7 @@ impl MaskMaker {
     }
 
     /// Writes the mask of each photograph as `masks/NAME.png` of `work`, gray, of the photograph's size.
-    ///
-    /// # Errors
-    /// [`Error::Input`] that names the photograph if its mask is missing, of another size, or all black or white; errors of the command.
-    pub fn write(&self, photographs: &[PhotographFile], work: &Work) -> Result<()> {
+    pub(super) fn write(&self, photographs: &[PhotographFile], work: &Work) -> Result<()> {
         let images = work.path("photographs");
         let bar = work.progress.bar("masks", photographs.len() as u64);
         let folder = match self {
@@ -108,7 +88,7 @@ impl MaskMaker {
                 rembg.run(&words, &work.log("masks"), |_| ())?;
                 Some(masks_of(&masks)?)
             }
-            Self::Alpha | Self::Command(_) => None,
+            Self::Auto | Self::Alpha | Self::Command(_) => None,
         };
         for photograph in photographs {
             check_interrupted()?;
@@ -121,8 +101,7 @@ impl MaskMaker {
                 }
                 (_, Some(folder)) => {
                     let file = find_mask(folder, &file_name(&photograph.source))?;
-                    let mask = as_stored(mask_of_file(&file)?, photograph);
-                    (file, mask)
+                    (file.clone(), as_stored(mask_of_file(&file)?, photograph))
                 }
                 _ => {
                     let loaded = read_image(&image, Gamma::Linear, AsStored)?;
@@ -144,9 +123,10 @@ impl MaskMaker {
 
 /// Whether a program, a name in a folder of `path` or a path of its own, is there.
 fn is_installed(program: &Path, path: &OsStr) -> bool {
-    let is_name = program.components().count() == 1;
-    let in_folders = || std::env::split_paths(path).any(|folder| folder.join(program).is_file());
-    if is_name { in_folders() } else { program.is_file() }
+    match program.components().count() {
+        1 => std::env::split_paths(path).any(|folder| folder.join(program).is_file()),
+        _ => program.is_file(),
+    }
 }
 
 fn masks_of(folder: &Path) -> Result<StemIndex> {
@@ -164,22 +144,18 @@ fn check(mask: &GrayImage, photograph: &PhotographFile, file: &Path) -> Result<(
     }
     let full = mask.iter().filter(|value| **value >= 224).count();
     let between = mask.iter().filter(|value| (32..224).contains(*value)).count();
-    if between > full && between > mask.len() / 100 {
-        return wrong(
-            format!("the mask of {name} is mostly gray, as a photograph is"),
-            "The object is white and all else black. A mask command writes the mask, or a cutout with alpha, to {out}.",
-        );
-    }
-    if mask.iter().all(|value| *value >= 128) {
-        let problem = format!("the mask of {name} is white everywhere: nothing is masked out");
-        return wrong(problem, "The object is white and all else black.");
-    }
-    if mask.iter().all(|value| *value < 128) {
-        let problem = format!("the mask of {name} is black everywhere: there is no object");
-        let help = "The object is white and all else black. Remove a photograph that does not show it.";
-        return wrong(problem, help);
-    }
-    Ok(())
+    let (problem, more) = if between > full && between > mask.len() / 100 {
+        let more = " A mask command writes the mask, or a cutout with alpha, to {out}.";
+        ("mostly gray, as a photograph is", more)
+    } else if mask.iter().all(|value| *value >= 128) {
+        ("white everywhere: nothing is masked out", "")
+    } else if mask.iter().all(|value| *value < 128) {
+        ("black everywhere: there is no object", " Remove a photograph that does not show it.")
+    } else {
+        return Ok(());
+    };
+    let help = format!("The object is white and all else black.{more}");
+    wrong(format!("the mask of {name} is {problem}"), &help)
 }
 
 /// A mask, or a cutout with alpha, as 8 bits.
@@ -215,8 +191,7 @@ fn as_stored(mask: GrayImage, photograph: &PhotographFile) -> GrayImage {
     turned.into_luma8()
 }
 
-/// The mask that a command makes of a photograph. Errors are about the photograph: the files that
-/// the command sees are of no use to anyone.
+/// The mask that a command makes of a photograph. Errors are about the photograph: the files that the command sees are of no use to anyone.
 fn by_command(
     command: &str,
     photograph: &PhotographFile,
@@ -259,9 +234,8 @@ fn by_command(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pass::progress::Silent;
-    use crate::prepare::photographs::{list, place};
     use crate::prepare::tests::{disc, script};
+    use crate::{pass::progress::Silent, prepare::photographs::list, prepare::photographs::place};
     use image::{Luma, Rgba, RgbaImage};
     use std::fs;
     use tempfile::TempDir;
@@ -290,7 +264,8 @@ mod tests {
         fn masks(&self, source: &MaskSource) -> Result<Vec<GrayImage>> {
             source.check()?;
             let options = PrepareOptions { masks: source.clone(), ..PrepareOptions::new("", "") };
-            let maker = MaskMaker::of(&options, &self.photographs, &Silent).unwrap_or(MaskMaker::Alpha);
+            let maker =
+                MaskSource::decided(&options, &self.photographs, &Silent).unwrap_or(MaskSource::Alpha);
             let work = Work::claim(&self.path("out"), &Silent).unwrap();
             place(&self.photographs, &work.emptied("photographs").unwrap()).unwrap();
             maker.write(&self.photographs, &work)?;

@@ -13,14 +13,11 @@ mod work;
 pub use masks::MaskSource;
 
 use crate::pass::progress::Progress;
-use colmap::{Colmap, Reconstruction};
+use colmap::Reconstruction;
 use lobelia_geometry::error::{Error, Result};
-use lobelia_io::codec::file::{lies_in, write_bytes};
-use lobelia_io::dataset::Layout;
-use masks::MaskMaker;
+use lobelia_io::{codec::file::lies_in, codec::file::write_bytes, dataset::Layout};
 use photographs::FEWEST;
-use std::fmt;
-use std::path::PathBuf;
+use std::{fmt, path::PathBuf};
 use video::Video;
 use work::Work;
 
@@ -60,8 +57,7 @@ pub struct PrepareOptions {
     pub out: PathBuf,
     /// Where masks come from.
     pub masks: MaskSource,
-    /// Whether cameras are found by the object alone, where there are masks: it turns before a
-    /// camera that stands still.
+    /// Whether cameras are found by the object alone, where there are masks: it turns before a camera that stands still.
     pub object_features: bool,
     /// Which pairs of photographs are matched.
     pub matching: Matching,
@@ -119,17 +115,17 @@ impl PrepareOptions {
             _ => {}
         }
         self.masks.check()?;
-        let masks = if let MaskSource::Folder(folder) = &self.masks { Some(folder) } else { None };
-        for (path, what) in [(Some(&self.photographs), "photographs"), (masks, "masks")] {
-            if let Some(path) = path.filter(|path| lies_in(path, &self.out)) {
-                let (path, out) = (path.display(), self.out.display());
-                let problem = format!(
-                    "the {what}, {path}, are in the output folder {out}, where they could be replaced"
-                );
-                return refuse(problem, "Give a folder that is new or empty.");
-            }
+        let mut read = vec![(&self.photographs, "photographs")];
+        if let MaskSource::Folder(folder) = &self.masks {
+            read.push((folder, "masks"));
         }
-        Ok(())
+        let Some((path, what)) = read.into_iter().find(|(path, _)| lies_in(path, &self.out)) else {
+            return Ok(());
+        };
+        let (path, out) = (path.display(), self.out.display());
+        let problem =
+            format!("the {what}, {path}, are in the output folder {out}, where they could be replaced");
+        refuse(problem, "Give a folder that is new or empty.")
     }
 }
 
@@ -161,9 +157,9 @@ impl fmt::Display for Prepared {
         if self.left_out.is_empty() {
             return Ok(());
         }
-        let more = self.left_out.len().saturating_sub(NAMED);
-        write!(f, "; left out: {}", self.left_out[..self.left_out.len() - more].join(", "))?;
-        if more > 0 { write!(f, " and {more} more") } else { Ok(()) }
+        let (named, more) = self.left_out.split_at(NAMED.min(self.left_out.len()));
+        write!(f, "; left out: {}", named.join(", "))?;
+        if more.is_empty() { Ok(()) } else { write!(f, " and {} more", more.len()) }
     }
 }
 
@@ -177,19 +173,15 @@ impl fmt::Display for Prepared {
 /// [`Error::Interrupted`] after Ctrl-C.
 pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prepared> {
     options.check()?;
-    let colmap = Colmap::find(&options.colmap)?;
+    let (program, use_gpu) = colmap::find(&options.colmap)?;
     // A bad folder or video is refused before the output folder is made.
     let path = &options.photographs;
-    let video = if video::is_video(path) { Some(Video::plan(options)?) } else { None };
-    let mut photographs = Vec::new();
-    if video.is_none() {
-        photographs = photographs::list(path, progress)?;
-        if options.frames != FrameCount::Auto {
-            let path = path.display();
-            let problem =
-                format!("a number of frames is that of a video, and {path} is a folder of photographs");
-            return Err(Error::usage(problem, "Leave out --frames and --fps: all photographs are used."));
-        }
+    let video = video::is_video(path).then(|| Video::plan(options)).transpose()?;
+    let mut photographs = if video.is_none() { photographs::list(path, progress)? } else { Vec::new() };
+    if video.is_none() && options.frames != FrameCount::Auto {
+        let path = path.display();
+        let problem = format!("a number of frames is that of a video, and {path} is a folder of photographs");
+        return Err(Error::usage(problem, "Leave out --frames and --fps: all photographs are used."));
     }
     let mut work = Work::claim(&options.out, progress)?;
     if let Some(video) = &video {
@@ -200,7 +192,7 @@ pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prep
         photographs::check_pixels(&photographs, progress)?;
         photographs::place(&photographs, &work.emptied("photographs")?)
     })?;
-    let maker = MaskMaker::of(options, &photographs, progress);
+    let maker = MaskSource::decided(options, &photographs, progress);
     work.step("masks", &format!("{maker:?}"), |work| {
         work.emptied("masks")?;
         maker.as_ref().map_or(Ok(()), |maker| maker.write(&photographs, work))
@@ -212,7 +204,7 @@ pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prep
         );
     }
     let (photographs, is_video) = (photographs.as_slice(), video.is_some());
-    let reconstruction = Reconstruction { options, colmap, photographs, is_video, has_masks };
+    let reconstruction = Reconstruction { options, program, use_gpu, photographs, is_video, has_masks };
     let mut prepared = reconstruction.run(&mut work)?;
     prepared.video_frames = video.map(|video| video.total);
     // Results get their names, and the scene file is written.

@@ -3,27 +3,20 @@
 //! COLMAP takes pixels as they are stored and ignores EXIF's orientation. So that every other program does the same, a photograph
 //! that EXIF turns is copied with that entry reset; its pixels stay as they are.
 
-use crate::pass::progress::Progress;
-use crate::prepare::work::make_folder_of;
-use image::metadata::Orientation;
-use image::{ImageDecoder, ImageError, ImageFormat, ImageReader};
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::error::{Error, Result};
+use crate::{pass::progress::Progress, prepare::work::make_folder_of};
+use image::{ImageDecoder, ImageError, ImageFormat, ImageReader, metadata::Orientation};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::file::{open, read_bytes, read_folder};
 use lobelia_io::codec::image::Orientation::AsStored;
 use lobelia_io::codec::image::{IMAGE_EXTENSIONS, decode_samples, is_unread_name};
 use lobelia_io::codec::nearby::{missing_file_help, natural_order};
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
-use std::io::Cursor;
-use std::path::{Path, PathBuf};
+use std::{collections::BTreeMap, collections::BTreeSet, fs, io::Cursor, path::Path, path::PathBuf};
 
 /// Fewest photographs that cameras can be found for.
 pub(super) const FEWEST: usize = 3;
 /// Extensions of video files.
-pub(super) const VIDEOS: [&str; 10] =
-    ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts"];
+pub(super) const VIDEOS: &[&str] = &["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts"];
 /// Most bytes of pixels that are decoded at once.
 const MOST_DECODED: u64 = 1 << 30;
 /// Help for a photograph that is damaged.
@@ -53,28 +46,22 @@ fn damaged(path: &Path) -> impl Fn(ImageError) -> Error + '_ {
     move |error| Error::input(path, "", format!("the photograph cannot be read: {error}"), DAMAGED_HELP)
 }
 
-/// Lists the photographs of a folder, its JPEG and PNG files, in natural order of their names;
-/// notes say what is left out. Where their sizes or focal lengths differ, `name` has a folder for
-/// each.
-///
-/// # Errors
-/// [`Error::Input`] if the folder is missing, has fewer than three photographs, or one of them is damaged or not what its name says;
-/// or if two have the same name but for the extension.
+/// Lists the photographs of a folder, its JPEG and PNG files, in natural order of their names; notes say what is left out. Where their
+/// sizes or focal lengths differ, `name` has a folder for each.
 pub(super) fn list(folder: &Path, progress: &dyn Progress) -> Result<Vec<PhotographFile>> {
     let (mut files, mut others) = (Vec::new(), BTreeMap::<String, usize>::new());
     for entry in read_folder(folder)? {
         let path = entry.map_err(Error::io("read", folder))?.path();
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
         let is_hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        let is_known = || IMAGE_EXTENSIONS.iter().chain(VIDEOS).any(|known| extension == *known);
         if is_hidden || path.is_dir() {
             continue;
         }
         // What is called as a photograph and is no file, or may not be read, is refused where it is opened.
         if ["jpg", "jpeg", "png"].contains(&extension.as_str()) {
             files.push(path);
-        } else if is_unread_name(&path)
-            || IMAGE_EXTENSIONS.iter().chain(&VIDEOS).any(|known| extension == *known)
-        {
+        } else if is_unread_name(&path) || is_known() {
             *others.entry(extension).or_default() += 1;
         }
     }
@@ -89,9 +76,7 @@ pub(super) fn list(folder: &Path, progress: &dyn Progress) -> Result<Vec<Photogr
         return Err(Error::input(twice, "", problem, "Rename one of them, or remove it."));
     }
     // COLMAP's cameras per folder are one of each group of equal size and focal length.
-    let groups: BTreeSet<_> =
-        photographs.iter().map(|photograph| (photograph.size, photograph.focal)).collect();
-    if groups.len() > 1 {
+    if photographs.iter().any(|p| (p.size, p.focal) != (photographs[0].size, photographs[0].focal)) {
         for PhotographFile { name, size: [width, height], focal, .. } in &mut photographs {
             let focal = focal.map_or_else(String::new, |f| format!("_{}mm", f64::from(f) / 100.0));
             *name = format!("{width}x{height}{focal}/{name}");
@@ -152,13 +137,10 @@ fn header(path: &Path) -> Result<PhotographFile> {
     let mut decoder = reader.into_decoder().map_err(damaged(path))?;
     let (width, height) = decoder.dimensions();
     let chunk = decoder.exif_metadata().ok().flatten().unwrap_or_default();
-    let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
-        return Err(Error::input(path, "", "the name of the file is not UTF-8", "Rename it."));
-    };
     let color = decoder.color_type();
     Ok(PhotographFile {
         source: path.to_owned(),
-        name: name.to_owned(),
+        name: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         size: [width, height],
         orientation: Orientation::from_exif_chunk(&chunk).unwrap_or(Orientation::NoTransforms),
         has_alpha: color.has_alpha(),
@@ -177,10 +159,6 @@ fn focal_length(chunk: Vec<u8>) -> Option<u32> {
 }
 
 /// Decodes every photograph, some at once: COLMAP would take what is left of one that is cut off for the whole.
-///
-/// # Errors
-/// [`Error::Input`] that names the first photograph that is damaged, cut off or of a kind that is not read; [`Error::Interrupted`] after
-/// Ctrl-C.
 pub(super) fn check_pixels(photographs: &[PhotographFile], progress: &dyn Progress) -> Result<()> {
     let bar = progress.bar("photographs", photographs.len() as u64);
     // Up to four channels of 8 or 16 bits.
@@ -188,11 +166,13 @@ pub(super) fn check_pixels(photographs: &[PhotographFile], progress: &dyn Progre
         |p: &PhotographFile| u64::from(p.size[0]) * u64::from(p.size[1]) * if p.is_deep { 8 } else { 4 };
     let largest = photographs.iter().map(bytes).max().unwrap_or_default().max(1);
     let at_once = (MOST_DECODED / largest).clamp(1, rayon::current_num_threads() as u64) as usize;
-    let decoded = |photograph: &PhotographFile| match decode_samples(&photograph.source, AsStored) {
-        Err(Error::Input { path, place, problem, .. }) => {
-            Err(Error::input(path, place, problem, DAMAGED_HELP))
-        }
-        decoded => decoded.map(|_| ()),
+    let decoded = |photograph: &PhotographFile| {
+        decode_samples(&photograph.source, AsStored).map(drop).map_err(|mut error| {
+            if let Error::Input { help, .. } = &mut error {
+                DAMAGED_HELP.clone_into(help);
+            }
+            error
+        })
     };
     for group in photographs.chunks(at_once) {
         check_interrupted()?;
@@ -205,9 +185,6 @@ pub(super) fn check_pixels(photographs: &[PhotographFile], progress: &dyn Progre
 }
 
 /// Puts the photographs under their names into `folder`, as links where that is possible.
-///
-/// # Errors
-/// [`Error::Io`] if one cannot be copied, [`Error::Input`] if one that EXIF turns is damaged.
 pub(super) fn place(photographs: &[PhotographFile], folder: &Path) -> Result<()> {
     for photograph in photographs {
         let to = folder.join(&photograph.name);
@@ -257,8 +234,7 @@ fn unturned(path: &Path) -> Result<Vec<u8>> {
 mod tests {
     use super::*;
     use crate::pass::progress::{RecordedMessages, Silent};
-    use image::codecs::jpeg::JpegEncoder;
-    use image::{ImageEncoder, RgbImage, Rgba, RgbaImage};
+    use image::{ImageEncoder, RgbImage, Rgba, RgbaImage, codecs::jpeg::JpegEncoder};
     use tempfile::TempDir;
 
     /// A little-endian EXIF block with an orientation and a focal length in millimeters.

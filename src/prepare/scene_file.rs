@@ -1,21 +1,21 @@
 //! A commented scene file for a data set: what is known of it, what a fit has to find, and what may be worth changing.
 
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
+use lobelia_geometry::{Error, Result, view::Split};
 use lobelia_io::dataset::{
     DatasetOptions, Layout, OpenDataset, PlannedView, find_layout, has_split, open_dataset,
 };
 use std::path::{Path, PathBuf};
 
+/// The lines of a scene file, each behind a mark that says where it stands; in braces is what differs.
+const TEMPLATE: &str = include_str!("assets/scene.txt");
 /// Longer side of the photographs that a fit needs at most; larger ones are downscaled in a new scene file.
 const ENOUGH_PIXELS: u32 = 1600;
 /// Fewest views of which some are held out.
 const FEWEST_HELD_OUT: usize = 12;
 
-/// The scene file `scene` for the data set in `data`, as text; it loads, and `lobelia check`
-/// passes. It follows from the camera files and from the first photograph with its mask. A path in
-/// it starts at `scene` if that is inside `data`, else at `$DATA`.
+/// The scene file `scene` for the data set in `data`, as text; it loads, and `lobelia check` passes. It follows from the camera files and
+/// from the first photograph with its mask. A path in it starts at `scene` if that is inside `data`, else at `$DATA`.
 ///
 /// # Errors
 /// [`Error::Input`] if the folder is no data set, its first view cannot be read, or it has neither
@@ -49,93 +49,48 @@ pub fn scene_for(data: &Path, layout: Layout, scene: &Path) -> Result<String> {
     } else {
         ("$DATA", "$DATA/", format!("lobelia run SCENE.ron --data {folder} --out OUT"))
     };
-
-    let masks = if has_masks { "with masks" } else { "without masks" };
     let name = if layout == Layout::Colmap { "COLMAP".to_owned() } else { format!("{layout:?}") };
-    let mut text = format!(
-        "// {count} photographs of {width}×{height} pixels {masks}, in the layout of {name}.\n// {command}\n\
-         // A quick try: --set views.downscale=4 --set passes.fit.steps=200\nScene(\n    version: 1,\n"
-    );
     // Of other layouts, the world has an up of its own.
-    if let Some(up) = mean_up(&views).filter(|_| layout == Layout::Colmap) {
-        // Adding 0 makes −0 positive.
-        let up = up + Vec3::ZERO;
-        text += &format!(
-            "    // Up in the photographs on average: orbits turn around it.\n    up: ({:.3}, {:.3}, {:.3}),\n",
-            up.x, up.y, up.z
-        );
-    }
-    text += &match mesh.as_ref().and_then(|mesh| mesh.file_name()) {
-        Some(name) => format!(
-            "    // The shape is known. `Unknown()` finds it from photographs and masks instead; it needs a `Shape()` pass first.\n    \
-             surface: Mesh(path: \"{}\"),\n",
-            // As it stands inside the quotes of a RON string.
-            format!("{below}{}", name.to_string_lossy()).replace('\\', "\\\\").replace('"', "\\\"")
-        ),
-        None => "    // The shape is found from photographs and masks. With a mesh: Mesh(path: \"mesh.glb\"), and no `Shape` pass.\n    \
-                 surface: Unknown(),\n"
-            .to_owned(),
+    let up = mean_up(&views).filter(|_| layout == Layout::Colmap);
+    let downscale = width.max(height).div_ceil(ENOUGH_PIXELS);
+    let is_held_out = has_test || count >= FEWEST_HELD_OUT;
+    let applies = |mark: &str| match mark {
+        "" => true,
+        "up" => up.is_some(),
+        "mesh" => mesh.is_some(),
+        "no mesh" => mesh.is_none(),
+        "layout" => asked != Layout::Auto,
+        "held out" => is_held_out,
+        "every 8th" => is_held_out && !has_test,
+        "none" => !is_held_out,
+        "small" => downscale <= 1,
+        "large" => downscale > 1,
+        // Cameras that a data set splits itself come from a renderer or a rig.
+        _ => !has_test,
     };
-    text += &format!("    views: Dataset(\n        path: \"{path}\",\n");
-    if asked != Layout::Auto {
-        text += &format!("        layout: {layout:?},\n");
-    }
-    text += match (has_test, count >= FEWEST_HELD_OUT) {
-        (true, _) => "",
-        (false, true) => {
-            "        // Every 8th view is kept out of the fit to measure the quality; 0: none.\n        hold_out: 8,\n"
-        }
-        (false, false) => {
-            "        // So few views are all needed; 8 would keep every 8th out of the fit.\n        hold_out: 0,\n"
-        }
-    };
-    text += &match width.max(height).div_ceil(ENOUGH_PIXELS) {
-        0 | 1 => {
-            "        // downscale: 2,        // half the size: a quarter of memory and time\n".to_owned()
-        }
-        downscale => format!(
-            "        // Full size needs more memory and time, and rarely gives more.\n        downscale: {downscale},\n"
-        ),
-    };
-    text += BEFORE_PASSES;
-    // Cameras that a data set splits itself come from a renderer or a rig; the others from photographs.
-    let unknowns = if has_test {
-        ""
-    } else {
-        text += "        // Photographs of a camera: each has an exposure of its own, and poses are a little off. With a locked exposure\n        \
-                 // or exact poses, leave these out. A light that turns with the camera, as on a
-                 // turntable, is found.\n";
-        "exposure: Brightness, cameras: Poses"
-    };
-    if mesh.is_some() {
-        text += &format!("        Fit({unknowns}),\n");
-    } else {
-        let comma = if has_test { "" } else { ", " };
-        text += &format!(
-            "        Shape({unknowns}),\n        Fit({unknowns}{comma}vertices: true, detail: true,\n            \
-             steps: 1200, rates: (albedo: 0.02, light: 0.02, specular: 0.01)),\n"
-        );
-    }
-    text += if has_test || count >= FEWEST_HELD_OUT {
-        "        // The held-out views, rendered and compared with their photographs.\n        Render(name: \"novel\"),\n        \
-         Evaluate(name: \"scores\", scores: [(pass: \"novel\", truth: Photographs)]),\n"
-    } else {
-        "        // No view is held out; the training views are rendered and compared with their photographs.\n        \
-         Render(name: \"again\", render: (views: Train)),\n        \
-         Evaluate(name: \"scores\", scores: [(pass: \"again\", truth: Photographs)]),\n"
-    };
-    Ok(text + LAST_PASSES)
+    let lines = TEMPLATE.lines().filter_map(|line| line.split_once('|'));
+    let lines = lines.filter(|(mark, _)| applies(mark.trim_end()));
+    let text: String = lines.map(|(_, line)| format!("{line}\n")).collect();
+    // Adding 0 makes −0 positive.
+    let [x, y, z] = (up.unwrap_or_default() + Vec3::ZERO).to_array();
+    let mesh = mesh.as_ref().and_then(|mesh| mesh.file_name()).unwrap_or_default().to_string_lossy();
+    let slots = [
+        ("{count}", count.to_string()),
+        ("{size}", format!("{width}×{height}")),
+        ("{masks}", if has_masks { "with masks" } else { "without masks" }.to_owned()),
+        ("{name}", name),
+        ("{up}", format!("{x:.3}, {y:.3}, {z:.3}")),
+        ("{path}", path.to_owned()),
+        ("{layout}", format!("{layout:?}")),
+        ("{downscale}", downscale.to_string()),
+        ("{unknowns}", if has_test { "" } else { "exposure: Brightness, cameras: Poses" }.to_owned()),
+        ("{comma}", if has_test { "" } else { ", " }.to_owned()),
+        ("{command}", command),
+        // As it stands inside the quotes of a RON string.
+        ("{mesh}", format!("{below}{mesh}").replace('\\', "\\\\").replace('"', "\\\"")),
+    ];
+    Ok(slots.iter().fold(text, |text, (slot, value)| text.replace(slot, value)))
 }
-
-/// Light and material are unknown by default.
-const BEFORE_PASSES: &str = "        // gamma: Linear,       // 8- and 16-bit values are taken as sRGB; this says otherwise\n    ),\n    \
-    // Light and material are unknown. What is known can be said, for example:\n    \
-    // light: Fixed(Map(path: \"sky.exr\")),\n    \
-    // material: (specular: (albedo: Fixed(0.04, 0.04, 0.04))),    // a plain dielectric\n    \
-    // material: (gloss: Blend(materials: 2)),                     // glossy and matte regions\n    passes: [\n";
-
-const LAST_PASSES: &str = "        // The object as a scene of its own, with everything known, and as meshes for other programs.\n        \
-    Save(name: \"saved\"),\n        Export(name: \"export\"),\n    ],\n)\n";
 
 /// The mean of what is up in the pictures, world space; `None` if they have none in common.
 fn mean_up(views: &[PlannedView]) -> Option<Vec3> {

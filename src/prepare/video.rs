@@ -7,11 +7,8 @@ use crate::prepare::photographs::{FEWEST, VIDEOS};
 use crate::prepare::work::{Program, Work};
 use crate::prepare::{FrameCount, PrepareOptions};
 use lobelia_geometry::error::{Error, Result};
-use lobelia_io::codec::file::{first_bytes, open};
-use lobelia_io::codec::image::is_video_start;
-use std::ffi::OsString;
-use std::path::{Path, PathBuf};
-use std::str::FromStr;
+use lobelia_io::{codec::file::first_bytes, codec::file::open, codec::image::is_video_start};
+use std::{ffi::OsString, path::Path, path::PathBuf, str::FromStr};
 
 /// Help for a missing ffmpeg.
 const INSTALL: &str = "Install ffmpeg (Debian and Ubuntu: `apt install ffmpeg`; macOS: `brew install ffmpeg`), name the program with \
@@ -44,10 +41,6 @@ pub(super) struct Video {
 
 impl Video {
     /// Counts the frames and chooses how many are used.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] if ffmpeg is missing; [`Error::Input`] if the file cannot be read, or
-    /// ffmpeg finds no frames in it, or fewer than are asked for.
     pub fn plan(options: &PrepareOptions) -> Result<Self> {
         let video = &options.photographs;
         let ffmpeg = Program { path: options.ffmpeg.clone(), install: INSTALL };
@@ -95,11 +88,7 @@ impl Video {
         Ok(format!("{:?} {bytes} bytes, {} of {} frames", self.path, self.used, self.total))
     }
 
-    /// Writes the frames, as `000001.jpg`…, into the folder `frames`. They are upright: ffmpeg
-    /// turns them as the video says.
-    ///
-    /// # Errors
-    /// Errors of [`Program::run`].
+    /// Writes the frames, as `000001.jpg`…, into the folder `frames`. They are upright: ffmpeg turns them as the video says.
     pub fn extract(&self, work: &Work) -> Result<()> {
         let Self { ffmpeg, path, total, used } = self;
         let frames = work.emptied("frames")?;
@@ -128,8 +117,7 @@ fn input_words(video: &Path) -> Vec<OsString> {
     let mut words: Vec<OsString> =
         ["-hide_banner", "-nostdin", "-nostats", "-progress", "pipe:1", "-i"].map(Into::into).into();
     // A name such as `-a.mp4` or `a:b.mp4` would be an option or a protocol.
-    let is_plain = video.is_absolute();
-    words.push(if is_plain { video.into() } else { Path::new(".").join(video).into_os_string() });
+    words.push(if video.is_absolute() { video.into() } else { Path::new(".").join(video).into_os_string() });
     words.extend(["-an", "-sn", "-dn"].map(OsString::from));
     words
 }
@@ -143,8 +131,7 @@ fn number<T: FromStr>(line: &str, name: &str) -> Option<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pass::progress::Silent;
-    use crate::prepare::tests::{fake_ffmpeg, script};
+    use crate::{pass::progress::Silent, prepare::tests::fake_ffmpeg, prepare::tests::script};
     use std::fs;
 
     fn planned(ffmpeg: PathBuf, frames: FrameCount) -> Result<Video> {

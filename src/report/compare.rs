@@ -5,8 +5,7 @@ use crate::report::scores::{EvalView, PassScores, Scaling, aligned, score_views}
 use lobelia_geometry::{Error, Result};
 use lobelia_io::codec::file::read_folder;
 use lobelia_io::codec::image::{BRIGHTEST, Gamma, IMAGE_EXTENSIONS, Orientation, read_image};
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::{collections::BTreeMap, path::Path, path::PathBuf};
 
 /// The result of a comparison.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,19 +25,17 @@ pub struct Comparison {
 /// has one, else the prediction's, else the whole image; eroded by one pixel. sRGB scores are of whole images, after the scale if there is one; an
 /// image without alpha has that of the other.
 ///
+/// Images have no layers of their own, so that `scaling` is not [`Scaling::PerLayer`].
+///
 /// # Errors
-/// [`Error::Usage`] for a file against a folder, no common stems, or [`Scaling::PerLayer`]; [`Error::Input`] for an unreadable image,
+/// [`Error::Usage`] for a file against a folder, or no common stems; [`Error::Input`] for an unreadable image,
 /// unequal sizes, an empty mask, or a non-finite pixel in the mask.
 pub fn compare(prediction: &Path, truth: &Path, scaling: Scaling) -> Result<Comparison> {
-    if scaling == Scaling::PerLayer {
-        return Err(Error::usage("images have no separate layers to scale", "use per-channel scaling"));
-    }
-    let is_folder = |path: &Path| match path.metadata() {
-        Ok(found) => Ok(found.is_dir()),
-        Err(error) => {
-            let problem = format!("cannot be opened: {error}");
-            Err(Error::input(path, "", problem, "give two files or two folders"))
-        }
+    let help = "give two files or two folders";
+    let is_folder = |path: &Path| {
+        let found = path.metadata();
+        let found = found.map_err(|error| Error::input(path, "", format!("cannot be opened: {error}"), help));
+        Ok::<_, Error>(found?.is_dir())
     };
     // By stem.
     let (predictions, mut truths) = match (is_folder(prediction)?, is_folder(truth)?) {
@@ -51,7 +48,7 @@ pub fn compare(prediction: &Path, truth: &Path, scaling: Scaling) -> Result<Comp
         _ => {
             let (prediction, truth) = (prediction.display(), truth.display());
             let problem = format!("one of {prediction} and {truth} is a folder, the other a file");
-            return Err(Error::usage(problem, "give two files or two folders"));
+            return Err(Error::usage(problem, help));
         }
     };
     let found = [(prediction, predictions.len()), (truth, truths.len())];
@@ -68,11 +65,7 @@ pub fn compare(prediction: &Path, truth: &Path, scaling: Scaling) -> Result<Comp
         let help = "images are matched by name without the ending, as in a/view_3.exr and b/view_3.png";
         return Err(Error::usage(problem, help));
     }
-    let load = |i: usize| {
-        let (name, prediction, truth) = &pairs[i];
-        load_view(name, prediction, truth)
-    };
-    let scores = score_views(pairs.len(), scaling, load)?;
+    let scores = score_views(pairs.len(), scaling, |i| load_view(&pairs[i].0, &pairs[i].1, &pairs[i].2))?;
     Ok(Comparison { scores, only_prediction, only_truth: truths.into_keys().collect() })
 }
 
@@ -80,10 +73,9 @@ impl Comparison {
     /// A table for the terminal: one line per file, the means, those of sRGB values, and the files that are left out.
     pub fn table(&self) -> String {
         let scaled = self.scores.scaling != Scaling::None;
-        let number = |value: f64| format!("{value:.2}");
         let line = |name: &str, psnr: f64, raw: f64, ssim: f64| {
-            let last = if scaled { number(raw) } else { String::new() };
-            [name.to_owned(), number(psnr), format!("{ssim:.4}"), last]
+            let last = if scaled { format!("{raw:.2}") } else { String::new() };
+            [name.to_owned(), format!("{psnr:.2}"), format!("{ssim:.4}"), last]
         };
         let head = ["file", "PSNR dB", "SSIM", if scaled { "unscaled dB" } else { "" }];
         let mut rows = vec![head.map(str::to_owned)];
@@ -170,9 +162,7 @@ fn load_view(name: &str, prediction: &Path, truth: &Path) -> Result<EvalView> {
 mod tests {
     use super::*;
     use image::RgbImage;
-    use lobelia_io::codec::exr::ExrLayers;
-    use lobelia_io::codec::exr_frame::write_channels;
-    use lobelia_io::codec::png_file;
+    use lobelia_io::{codec::exr::ExrLayers, codec::exr_frame::write_channels, codec::png_file};
 
     fn exr(path: &Path, size: [usize; 2], value: impl Fn(usize) -> f32, alpha: Option<Vec<f32>>) {
         let values: Vec<f32> = (0..size[0] * size[1]).map(value).collect();
@@ -186,8 +176,7 @@ mod tests {
     fn folders() -> (tempfile::TempDir, PathBuf, PathBuf) {
         let root = tempfile::tempdir().unwrap();
         let (p, t) = (root.path().join("p"), root.path().join("t"));
-        std::fs::create_dir(&p).unwrap();
-        std::fs::create_dir(&t).unwrap();
+        [&p, &t].iter().for_each(|folder| std::fs::create_dir(folder).unwrap());
         (root, p, t)
     }
 
@@ -196,10 +185,9 @@ mod tests {
         let (_root, p, t) = folders();
         exr(&p.join("a.exr"), [6, 5], |_| 0.6, None);
         exr(&t.join("a.exr"), [6, 5], |_| 0.5, None);
-        exr(&p.join("b.exr"), [4, 4], |_| 0.25, None);
-        exr(&t.join("b.exr"), [4, 4], |_| 0.25, None);
-        exr(&p.join("mine.exr"), [4, 4], |_| 0.25, None);
-        exr(&t.join("yours.exr"), [4, 4], |_| 0.25, None);
+        for path in [p.join("b.exr"), t.join("b.exr"), p.join("mine.exr"), t.join("yours.exr")] {
+            exr(&path, [4, 4], |_| 0.25, None);
+        }
         // The EXR of a stem has priority over its PNG; other files are ignored.
         png_file::write_rgb8(p.join("a.png"), &RgbImage::new(2, 2)).unwrap();
         std::fs::write(p.join("notes.txt"), "x").unwrap();
@@ -221,7 +209,6 @@ mod tests {
         let table = found.table();
         assert!(table.contains("sRGB: mask ") && found.scores.srgb.unwrap().psnr_mask > 90.0, "{table}");
         assert!(table.contains("scale R 2.0000 G 2.0000 B 2.0000") && table.contains("mean"), "{table}");
-        assert!(matches!(compare(&p, &t, Scaling::PerLayer).unwrap_err(), Error::Usage { .. }));
     }
 
     #[test]

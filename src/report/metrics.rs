@@ -5,15 +5,12 @@
 //! silhouette, which depend on coverage and not on material, are left out.
 
 use glam::{DVec3, Vec3};
-use lobelia_geometry::{Error, Result};
+use lobelia_geometry::{Error, Result, view::raster::FULL_COVERAGE};
 use rayon::prelude::*;
 use std::ops::Range;
 
 /// The score of equal images, in dB: PSNR is clamped to it because JSON has no infinity (an RMS error of 1e-5).
 pub const PSNR_CAP_DB: f64 = 100.0;
-
-/// Coverage from which a pixel counts as fully covered.
-pub(crate) const FULL_COVERAGE: f32 = 0.999;
 
 /// A predicted view, its truth and the pixels that count. [`ImagePair::new`] checks sizes and finiteness.
 #[derive(Clone, Copy, Debug)]
@@ -43,25 +40,22 @@ impl<'a> ImagePair<'a> {
     ) -> Result<Self> {
         let [width, height] = size;
         let count = width * height;
+        let bad = |problem: String| Err(Error::run("scoring", problem));
         for (what, len) in [("prediction", prediction.len()), ("truth", truth.len()), ("mask", mask.len())] {
             if len != count {
-                return Err(bad(format!(
+                return bad(format!(
                     "the {what} has {len} pixels, but {width} × {height} = {count} are needed"
-                )));
+                ));
             }
         }
         if !mask.contains(&true) {
-            return Err(bad("no pixel is left to score: the mask, eroded by one pixel, is empty"));
+            return bad("no pixel is left to score: the mask, eroded by one pixel, is empty".to_owned());
         }
         for (what, pixels) in [("prediction", prediction), ("truth", truth)] {
-            if let Some(at) =
-                pixels.iter().zip(mask).position(|(pixel, &counts)| counts && !pixel.is_finite())
-            {
-                return Err(bad(format!(
-                    "pixel ({}, {}) of the {what} is not a finite number",
-                    at % width,
-                    at / width
-                )));
+            let mut pixels = pixels.iter().zip(mask);
+            if let Some(at) = pixels.position(|(pixel, &counts)| counts && !pixel.is_finite()) {
+                let (x, y) = (at % width, at / width);
+                return bad(format!("pixel ({x}, {y}) of the {what} is not a finite number"));
             }
         }
         Ok(Self { width, height, prediction, truth, mask })
@@ -74,15 +68,10 @@ impl<'a> ImagePair<'a> {
     }
 }
 
-fn bad(problem: impl Into<String>) -> Error {
-    Error::run("scoring", problem)
-}
-
 /// The pixels whose 3×3 neighborhood is fully covered (≥ [`FULL_COVERAGE`]). Pixels beyond the border count as
 /// covered: an object that the frame cuts has no silhouette there, and a mask of ones does not change.
 ///
-/// `coverage` is `size[0] * size[1]` values in `[0, 1]`. ([`lobelia_geometry::view`] has a separate erosion for fitting; this
-/// one is here so that metrics depend on slices only.)
+/// `coverage` is `size[0] * size[1]` values in `[0, 1]`.
 pub(crate) fn erode(size: [usize; 2], coverage: &[f32]) -> Vec<bool> {
     eroded(size, 1, |i| coverage[i] >= FULL_COVERAGE)
 }
@@ -90,8 +79,7 @@ pub(crate) fn erode(size: [usize; 2], coverage: &[f32]) -> Vec<bool> {
 /// Whether all pixels of a picture are `inside` up to so many pixels to each side of a pixel.
 pub(super) fn eroded([width, height]: [usize; 2], by: usize, inside: impl Fn(usize) -> bool) -> Vec<bool> {
     let around = |at: usize, side: usize| at.saturating_sub(by)..(at + by + 1).min(side);
-    let counts =
-        |x: usize, y: usize| around(y, height).all(|y| around(x, width).all(|x| inside(y * width + x)));
+    let counts = |x, y| around(y, height).all(|y| around(x, width).all(|x| inside(y * width + x)));
     (0..width * height).map(|i| counts(i % width, i / width)).collect()
 }
 
@@ -102,12 +90,8 @@ fn clip(value: DVec3) -> DVec3 {
 /// Peak signal-to-noise ratio in dB, peak 1, after clipping both images to `[0, 1]`:
 /// −10 log₁₀ of the mean squared error over the pixels that count and the three channels; at most [`PSNR_CAP_DB`].
 pub fn psnr(pair: &ImagePair) -> f64 {
-    let (mut sum, mut count) = (0.0, 0usize);
-    for (prediction, truth) in pair.counted() {
-        sum += (clip(prediction) - clip(truth)).length_squared();
-        count += 3;
-    }
-    psnr_of_mse(sum / count as f64)
+    let squares = || pair.counted().map(|(p, t)| (clip(p) - clip(t)).length_squared());
+    psnr_of_mse(squares().sum::<f64>() / (3 * squares().count()) as f64)
 }
 
 /// PSNR in dB of a mean squared error for a peak of 1; at most [`PSNR_CAP_DB`].
@@ -124,14 +108,12 @@ const C1: f64 = 0.01 * 0.01;
 /// (K₂ L)² with K₂ = 0.03, L = 1.
 const C2: f64 = 0.03 * 0.03;
 
-/// Mean structural similarity (Wang, Bovik, Sheikh and Simoncelli, "Image Quality Assessment", IEEE
-/// TIP 2004, eq. 13) over the three channels and the pixels that count, in linear light, for a
-/// dynamic range of 1.
+/// Mean structural similarity (Wang, Bovik, Sheikh and Simoncelli, "Image Quality Assessment", IEEE TIP 2004, eq. 13) over the three
+/// channels and the pixels that count, in linear light, for a dynamic range of 1.
 ///
-/// Both images are clipped to `[0, 1]` and black outside the mask, so that no pixel outside the mask has an effect.
-/// The similarity map is then computed over the whole image, with windows reflected at the border (… b a | a b …), and
-/// averaged over the pixels that count. The window is an 11×11 Gaussian of σ 1.5, normalized to 1; variances are not
-/// bias-corrected, as in the original.
+/// Both images are clipped to `[0, 1]` and black outside the mask, so that no pixel outside the mask has an effect. The similarity map is
+/// then computed over the whole image, with windows reflected at the border (… b a | a b …), and averaged over the pixels that count. The
+/// window is an 11×11 Gaussian of σ 1.5, normalized to 1; variances are not bias-corrected, as in the original.
 pub fn ssim(pair: &ImagePair) -> f64 {
     let value = |pixel: usize, channel: usize| {
         let clipped = |pixels: &[Vec3]| f64::from(pixels[pixel][channel]).clamp(0.0, 1.0);
@@ -140,15 +122,14 @@ pub fn ssim(pair: &ImagePair) -> f64 {
     ssim_of([pair.width, pair.height], |pixel| pair.mask[pixel], value)
 }
 
-/// The SSIM of pictures that are computed as they are needed: `value(pixel, channel)` is the
-/// prediction and the truth, in `[0, 1]`, and `counts(pixel)` whether a pixel counts; at least one
-/// must. Values are asked for several times.
+/// The SSIM of pictures that are computed as they are needed: `value(pixel, channel)` is the prediction and the truth, in `[0, 1]`, and
+/// `counts(pixel)` whether a pixel counts; at least one must. Values are asked for several times.
 pub(super) fn ssim_of(
     size: [usize; 2],
     counts: impl Fn(usize) -> bool + Sync,
     value: impl Fn(usize, usize) -> [f64; 2] + Sync,
 ) -> f64 {
-    let of_channel = |channel: usize| channel_ssim(size, &counts, &|pixel| value(pixel, channel));
+    let of_channel = |channel: usize| plane_ssim(size, &counts, &|pixel| value(pixel, channel));
     let channels: Vec<f64> = (0..3).into_par_iter().map(of_channel).collect();
     channels.iter().sum::<f64>() / 3.0
 }
@@ -156,11 +137,7 @@ pub(super) fn ssim_of(
 /// Rows of the similarity map that are in memory at a time.
 const BAND: usize = 64;
 
-fn channel_ssim(
-    size: [usize; 2],
-    counts: &impl Fn(usize) -> bool,
-    value: &impl Fn(usize) -> [f64; 2],
-) -> f64 {
+fn plane_ssim(size: [usize; 2], counts: &impl Fn(usize) -> bool, value: &impl Fn(usize) -> [f64; 2]) -> f64 {
     let [width, height] = size;
     let (mut sum, mut count) = (0.0, 0usize);
     for top in (0..height).step_by(BAND) {
@@ -176,12 +153,8 @@ fn channel_ssim(
 }
 
 /// Prediction, truth, their squares and their product of one channel in some rows, blurred.
-fn blurred_band(
-    [width, height]: [usize; 2],
-    value: &impl Fn(usize) -> [f64; 2],
-    rows: Range<usize>,
-) -> [Vec<f64>; 5] {
-    let weights = weights();
+fn blurred_band(size: [usize; 2], value: &impl Fn(usize) -> [f64; 2], rows: Range<usize>) -> [Vec<f64>; 5] {
+    let ([width, height], weights) = (size, weights());
     let columns: Vec<usize> = (0..width + 2 * RADIUS).map(|x| reflected(x, width)).collect();
     let mut blurred: [Vec<f64>; 5] = std::array::from_fn(|_| vec![0.0; rows.len() * width]);
     let mut line = vec![0.0; width];
@@ -352,29 +325,22 @@ pub fn albedo_psnr(views: &[ImagePair]) -> Option<f64> {
         let ratios = counted().filter(|(p, _)| p[c] > 1e-6).map(|(p, t)| t[c] / p[c]);
         median(&mut ratios.collect::<Vec<f64>>()).unwrap_or(1.0)
     }));
-    let mut pooled = DVec3::ZERO;
-    let mut count = 0usize;
-    for (p, t) in counted() {
-        let gap = clip(p * scale) - clip(t);
-        pooled += gap * gap;
-        count += 3;
-    }
-    (count > 0).then(|| psnr_of_mse(pooled.element_sum() / count as f64))
+    let gaps = counted().map(|(p, t)| clip(p * scale) - clip(t));
+    let (sum, count) = (gaps.map(|gap| gap * gap).sum::<DVec3>().element_sum(), 3 * counted().count());
+    (count > 0).then(|| psnr_of_mse(sum / count as f64))
 }
 
 /// Median (mean of the middle two for an even count) of finite values, which are reordered; `None` for no values.
 pub fn median<T: Copy + Into<f64>>(values: &mut [T]) -> Option<f64> {
-    let middle = values.len() / 2;
     if values.is_empty() {
         return None;
     }
-    let even = values.len().is_multiple_of(2);
-    let (below, &mut upper, _) =
-        values.select_nth_unstable_by(middle, |a, b| (*a).into().total_cmp(&(*b).into()));
+    let (middle, is_odd) = (values.len() / 2, values.len() % 2 == 1);
+    let by_size = |a: &T, b: &T| (*a).into().total_cmp(&(*b).into());
+    let (below, &mut upper, _) = values.select_nth_unstable_by(middle, by_size);
     let upper = upper.into();
-    let lower =
-        if even { below.iter().map(|v| (*v).into()).fold(f64::NEG_INFINITY, f64::max) } else { upper };
-    Some(0.5 * (lower + upper))
+    let lower = below.iter().map(|v| (*v).into()).reduce(f64::max).filter(|_| !is_odd);
+    Some(0.5 * (lower.unwrap_or(upper) + upper))
 }
 
 /// Collects the angles of any number of views: four bytes per pixel that counts.
@@ -468,11 +434,7 @@ mod tests {
         let mut coverage = vec![1.0; 25];
         coverage[0] = 0.99;
         let kept = erode([5, 5], &coverage);
-        for y in 0..5 {
-            for x in 0..5 {
-                assert_eq!(kept[y * 5 + x], x > 1 || y > 1, "({x}, {y})");
-            }
-        }
+        (0..25).for_each(|i| assert_eq!(kept[i], i % 5 > 1 || i / 5 > 1, "{i}"));
     }
 
     #[test]
@@ -513,11 +475,8 @@ mod tests {
         let found = two_scales([dot(d, d), dot(d, s), dot(s, s)], [dot(d, t), dot(s, t)]);
         let cost = |a: f64, b: f64| (0..3).map(|i| (a * d[i] + b * s[i] - t[i]).powi(2)).sum::<f64>();
         let best = cost(found[0], found[1]);
-        for i in 0..=200 {
-            for j in 0..=200 {
-                assert!(best <= cost(i as f64 * 0.01, j as f64 * 0.01) + 1e-12);
-            }
-        }
+        let on_grid = |i: i32| cost(f64::from(i % 201) * 0.01, f64::from(i / 201) * 0.01);
+        assert!((0..201 * 201).all(|i| best <= on_grid(i) + 1e-12));
         assert_eq!(two_scales([0.0; 3], [0.0; 2]), [1.0, 1.0]);
     }
 
@@ -536,33 +495,29 @@ mod tests {
 
     #[test]
     fn medians() {
-        assert_eq!(median::<f64>(&mut []), None);
-        assert_eq!(median(&mut [3.0]), Some(3.0));
-        assert_eq!(median(&mut [5.0, 1.0, 3.0]), Some(3.0));
-        assert_eq!(median(&mut [4.0f32, 1.0, 3.0, 2.0]), Some(2.5));
-    }
-
-    fn angles(prediction: &[Vec3; 4]) -> NormalAngles {
-        let truth = [Vec3::X * 0.5, Vec3::X, Vec3::X, Vec3::X];
-        let mut angles = NormalAngles::default();
-        angles.add(&ImagePair::new([2, 2], prediction, &truth, &[true; 4]).unwrap());
-        angles
+        assert_eq!((median::<f64>(&mut []), median(&mut [3.0])), (None, Some(3.0)));
+        assert_eq!(
+            (median(&mut [5.0, 1.0, 3.0]), median(&mut [4.0f32, 1.0, 3.0, 2.0])),
+            (Some(3.0), Some(2.5))
+        );
     }
 
     #[test]
     fn angles_by_hand() {
-        // 0°, 90°, 45° and one without a normal.
-        let found = angles(&[Vec3::X, Vec3::Y * 3.0, Vec3::new(1.0, 1.0, 0.0), Vec3::ZERO]);
-        assert_eq!(found.pixels(), 3);
-        assert!((found.mean_degrees().unwrap() - 45.0).abs() < 1e-6);
-        assert!((found.median_degrees().unwrap() - 45.0).abs() < 1e-5);
-        // 0°, 0°, 90° and 180°: the mean is 67.5°, the median 45°.
-        let found = angles(&[Vec3::X, Vec3::X, Vec3::Y, Vec3::NEG_X]);
-        assert!((found.mean_degrees().unwrap() - 67.5).abs() < 1e-6);
-        assert!((found.median_degrees().unwrap() - 45.0).abs() < 1e-5);
-        let none = angles(&[Vec3::ZERO; 4]);
-        assert_eq!((none.pixels(), none.mean_degrees()), (0, None));
-        assert_eq!(none.median_degrees(), None);
+        let truth = [Vec3::X * 0.5, Vec3::X, Vec3::X, Vec3::X];
+        for (prediction, pixels, expected) in [
+            // 0°, 90°, 45° and one without a normal.
+            ([Vec3::X, Vec3::Y * 3.0, Vec3::new(1.0, 1.0, 0.0), Vec3::ZERO], 3, [45.0, 45.0]),
+            // 0°, 0°, 90° and 180°: the mean is 67.5°, the median 45°.
+            ([Vec3::X, Vec3::X, Vec3::Y, Vec3::NEG_X], 4, [67.5, 45.0]),
+            ([Vec3::ZERO; 4], 0, [-1.0; 2]),
+        ] {
+            let mut angles = NormalAngles::default();
+            angles.add(&pair(&prediction, &truth, &ALL));
+            assert_eq!(angles.pixels(), pixels);
+            let found = [angles.mean_degrees(), angles.median_degrees()].map(|angle| angle.unwrap_or(-1.0));
+            assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{found:?}");
+        }
     }
 
     /// Numbers in [0, 1) that look random.
@@ -576,8 +531,7 @@ mod tests {
     fn images(count: usize) -> (Vec<Vec3>, Vec<Vec3>) {
         let truth: Vec<Vec3> =
             (0..count as u32).map(|i| Vec3::new(noise(i), noise(i + 7777), noise(i + 15555))).collect();
-        let prediction =
-            (0..count as u32).map(|i| truth[i as usize] * 0.8 + 0.5 * noise(i + 99_999)).collect();
+        let prediction = (0..).zip(&truth).map(|(i, t)| *t * 0.8 + 0.5 * noise(i + 99_999)).collect();
         (prediction, truth)
     }
 
@@ -647,11 +601,8 @@ mod tests {
         let (mut prediction, truth) = images(400);
         let mask: Vec<bool> = (0..400).map(|i| i % 20 > 8).collect();
         let before = ssim(&ImagePair::new([20, 20], &prediction, &truth, &mask).unwrap());
-        prediction
-            .iter_mut()
-            .zip(&mask)
-            .filter(|(_, counts)| !**counts)
-            .for_each(|(p, _)| *p = Vec3::splat(f32::NAN));
+        let outside = prediction.iter_mut().zip(&mask).filter(|(_, counts)| !**counts);
+        outside.for_each(|(p, _)| *p = Vec3::splat(f32::NAN));
         assert_eq!(before, ssim(&ImagePair::new([20, 20], &prediction, &truth, &mask).unwrap()));
     }
 }

@@ -50,8 +50,11 @@ pub(crate) struct EvalView {
 
 impl EvalView {
     fn pair<'a>(&'a self, prediction: &'a [Vec3]) -> Result<ImagePair<'a>> {
-        ImagePair::new([self.width, self.height], prediction, &self.truth, &self.mask)
-            .map_err(|error| self.named(error))
+        let pair = ImagePair::new([self.width, self.height], prediction, &self.truth, &self.mask);
+        pair.map_err(|error| match error {
+            Error::Run { context, problem } => Error::run(format!("{context} view {}", self.name), problem),
+            other => other,
+        })
     }
 
     /// The prediction times factors: of the image, or of its two layers.
@@ -59,13 +62,6 @@ impl EvalView {
         match specular {
             None => scaled(&self.prediction, scale),
             Some(specular) => scaled_layers([&self.diffuse, &self.specular], [scale, specular]),
-        }
-    }
-
-    fn named(&self, error: Error) -> Error {
-        match error {
-            Error::Run { context, problem } => Error::run(format!("{context} view {}", self.name), problem),
-            other => other,
         }
     }
 }
@@ -134,8 +130,7 @@ pub(crate) fn given_up_words(given_up: Option<u32>) -> String {
     given_up.map_or(String::new(), |steps| format!(" (given up after {steps} steps)"))
 }
 
-/// Grounds of a fit's choice of base materials: mean absolute errors of radiance after the same
-/// steps over the same pixels.
+/// Grounds of a fit's choice of base materials: mean absolute errors of radiance after the same steps over the same pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MaterialsTried {
     /// With one base material.
@@ -152,9 +147,8 @@ pub struct MaterialsTried {
     pub seconds: f64,
 }
 
-/// Grounds of a fit's choice of the distribution of microfacet normals: mean absolute errors of
-/// radiance over the same pixels, after steps with one distribution and then as many with each of
-/// the two.
+/// Grounds of a fit's choice of the distribution of microfacet normals: mean absolute errors of radiance over the same pixels, after steps
+/// with one distribution and then as many with each of the two.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct NdfTried {
     /// With GGX.
@@ -262,35 +256,27 @@ pub struct Scores {
 
 /// Scores `count` views. `load(i)` gives view `i`; it is called once for each view, and once more before that for the
 /// scale, if there is one of all views, so that at most one view is in memory.
-///
-/// # Errors
-/// Errors of `load`; [`Error::Run`] for no views, lists of the wrong length, empty masks or
-/// non-finite pixels.
 pub(crate) fn score_views(
     count: usize,
     scaling: Scaling,
     mut load: impl FnMut(usize) -> Result<EvalView>,
 ) -> Result<PassScores> {
     let (mut scale, mut scale_specular) = ([1.0; 3], None);
-    match scaling {
-        Scaling::None | Scaling::PerView => {}
-        Scaling::PerChannel => {
-            let mut sums = ScaleSums::default();
-            for i in 0..count {
-                let view = load(i)?;
-                sums.add(&view.pair(&view.prediction)?);
-            }
-            scale = sums.scale();
+    if scaling == Scaling::PerChannel {
+        let mut sums = ScaleSums::default();
+        for i in 0..count {
+            let view = load(i)?;
+            sums.add(&view.pair(&view.prediction)?);
         }
-        Scaling::PerLayer => {
-            let mut sums = LayerScaleSums::default();
-            for i in 0..count {
-                let view = load(i)?;
-                sums.add(&view.pair(&view.diffuse)?, &view.specular)?;
-            }
-            let [diffuse, specular] = sums.scales();
-            (scale, scale_specular) = (diffuse, Some(specular));
+        scale = sums.scale();
+    } else if scaling == Scaling::PerLayer {
+        let mut sums = LayerScaleSums::default();
+        for i in 0..count {
+            let view = load(i)?;
+            sums.add(&view.pair(&view.diffuse)?, &view.specular)?;
         }
+        let [diffuse, specular] = sums.scales();
+        (scale, scale_specular) = (diffuse, Some(specular));
     }
     let mut views: Vec<ViewScores> = Vec::new();
     for i in 0..count {
@@ -313,8 +299,8 @@ pub(crate) fn score_views(
             psnr_raw: psnr(&raw),
             ssim: ssim(&pair),
             scale: own,
-            srgb: srgb.transpose().map_err(|error| view.named(error))?,
-            stanford_orb: own.and_then(|_| orb_scores(size, &view.prediction, &view.truth, &view.coverage)),
+            srgb,
+            stanford_orb: own.and_then(|_| orb_scores(size, [&view.prediction, &view.truth], &view.coverage)),
             name: view.name,
         });
     }
@@ -339,8 +325,7 @@ pub(crate) fn score_views(
 }
 
 impl PassScores {
-    /// The prediction of `view` with the scale of these scores, for contact sheets
-    /// and error maps.
+    /// The prediction of `view` with the scale of these scores, for contact sheets and error maps.
     pub(crate) fn scored_prediction(&self, view: &EvalView) -> Vec<Vec3> {
         let own = self.views.iter().find(|scores| scores.name == view.name).and_then(|scores| scores.scale);
         view.scaled(own.unwrap_or(self.scale), self.scale_specular)
@@ -366,14 +351,12 @@ impl Scores {
         file::write_bytes(path.as_ref(), text.as_bytes())
     }
 
-    /// A table for the terminal, one line per pass; a second one of sRGB scores below a blank line,
-    /// if there are any; a line for each pass that is scored as Stanford-ORB does; and a line for
-    /// the rest. Ends with a line break.
+    /// A table for the terminal, one line per pass; a second one of sRGB scores below a blank line, if there are any; a line for each pass
+    /// that is scored as Stanford-ORB does; and a line for the rest. Ends with a line break.
     pub fn table(&self) -> String {
+        let heads = ["in sRGB", "mask dB", "white dB", "SSIM", "black dB", "SSIM"];
+        let (mut srgb, mut rest) = (vec![heads.map(str::to_owned)], String::new());
         let mut rows = vec![["pass", "PSNR dB", "raw", "SSIM", "scale R", "G", "B"].map(str::to_owned)];
-        let mut srgb =
-            vec![["in sRGB", "mask dB", "white dB", "SSIM", "black dB", "SSIM"].map(str::to_owned)];
-        let mut rest = String::new();
         let (two, four) = (|value: f64| format!("{value:.2}"), |value: f64| format!("{value:.4}"));
         for (name, pass) in &self.passes {
             let [r, g, b] = match pass.scaling {
@@ -385,18 +368,15 @@ impl Scores {
             rows.push([name.clone(), two(pass.psnr), two(pass.psnr_raw), four(pass.ssim), r, g, b]);
             if let Some(specular) = pass.scale_specular {
                 let [r, g, b] = specular.map(|s| format!("{s:.3}"));
-                let [psnr, raw, ssim] = [const { String::new() }; 3];
-                rows.push(["  its specular layer".to_owned(), psnr, raw, ssim, r, g, b]);
+                let nothing = String::new;
+                rows.push(["  its specular layer".to_owned(), nothing(), nothing(), nothing(), r, g, b]);
             }
-            if let Some(SrgbScores { psnr_mask, psnr_white, psnr_black, ssim_white, ssim_black }) = pass.srgb
-            {
-                let (white, black) =
-                    ((two(psnr_white), four(ssim_white)), (two(psnr_black), four(ssim_black)));
-                srgb.push([name.clone(), two(psnr_mask), white.0, white.1, black.0, black.1]);
+            if let Some(of) = pass.srgb {
+                let [mask, white, black] = [of.psnr_mask, of.psnr_white, of.psnr_black].map(two);
+                srgb.push([name.clone(), mask, white, four(of.ssim_white), black, four(of.ssim_black)]);
             }
-            if let Some(OrbScores { psnr_hdr, psnr_ldr }) = pass.stanford_orb {
-                rest +=
-                    &format!("{name}, as Stanford-ORB: PSNR-H {psnr_hdr:.2} dB, PSNR-L {psnr_ldr:.2} dB\n");
+            if let Some(OrbScores { psnr_hdr: hdr, psnr_ldr: ldr }) = pass.stanford_orb {
+                rest += &format!("{name}, as Stanford-ORB: PSNR-H {hdr:.2} dB, PSNR-L {ldr:.2} dB\n");
             }
         }
         let normals = self.normal_deg.map(|mean| {
@@ -430,11 +410,8 @@ pub(crate) fn aligned(rows: &[impl AsRef<[String]>]) -> String {
     let mut text = String::new();
     for (i, row) in rows.iter().enumerate() {
         let mut line = String::new();
-        for (c, entry) in row.as_ref().iter().enumerate() {
-            line += &match c {
-                0 => format!("{entry:<0$}", width[0]),
-                _ => format!("  {entry:>0$}", width[c]),
-            };
+        for (c, (entry, width)) in row.as_ref().iter().zip(&width).enumerate() {
+            line += &if c == 0 { format!("{entry:<width$}") } else { format!("  {entry:>width$}") };
         }
         text += &format!("{}\n", line.trim_end());
         if i == 0 {
@@ -478,42 +455,40 @@ mod tests {
         }
     }
 
+    fn scored(views: &[EvalView], scaling: Scaling) -> PassScores {
+        score_views(views.len(), scaling, |i| Ok(views[i].clone())).unwrap()
+    }
+
     #[test]
     fn scales_are_shared_by_all_views() {
-        let views = [view(0, 1.25, 1.25), view(1, 1.25, 1.25)];
-        let scored = score_views(2, Scaling::PerChannel, |i| Ok(views[i].clone())).unwrap();
-        assert!(scored.scale.iter().all(|s| (s - 1.25).abs() < 1e-6), "{:?}", scored.scale);
-        assert!(scored.psnr > 90.0 && scored.psnr_raw < 30.0);
-        assert!(scored.ssim > 0.999_999);
-        assert_eq!(scored.views[1].name, "view_1");
+        let found = scored(&[view(0, 1.25, 1.25), view(1, 1.25, 1.25)], Scaling::PerChannel);
+        assert!(found.scale.iter().all(|s| (s - 1.25).abs() < 1e-6), "{:?}", found.scale);
+        assert!(found.psnr > 90.0 && found.psnr_raw < 30.0 && found.ssim > 0.999_999);
+        assert_eq!(found.views[1].name, "view_1");
         // One view at 1, one at 2: a shared scale fits neither.
-        let views = [view(0, 1.0, 1.0), view(1, 2.0, 2.0)];
-        let scored = score_views(2, Scaling::PerChannel, |i| Ok(views[i].clone())).unwrap();
-        assert!(scored.scale.iter().all(|&s| s > 1.3 && s < 1.7) && scored.psnr < 30.0);
-        let mean = (scored.views[0].psnr + scored.views[1].psnr) / 2.0;
-        assert_eq!(scored.psnr, mean);
+        let found = scored(&[view(0, 1.0, 1.0), view(1, 2.0, 2.0)], Scaling::PerChannel);
+        assert!(found.scale.iter().all(|&s| s > 1.3 && s < 1.7) && found.psnr < 30.0);
+        assert_eq!(found.psnr, (found.views[0].psnr + found.views[1].psnr) / 2.0);
     }
 
     #[test]
     fn layers_have_scales_of_their_own() {
         let views = [view(0, 0.5, 1.5), view(1, 0.5, 1.5)];
-        let single = score_views(2, Scaling::PerChannel, |i| Ok(views[i].clone())).unwrap();
-        let layers = score_views(2, Scaling::PerLayer, |i| Ok(views[i].clone())).unwrap();
+        let single = scored(&views, Scaling::PerChannel);
+        let layers = scored(&views, Scaling::PerLayer);
         assert!(layers.psnr > 90.0 && single.psnr < 35.0, "{} {}", layers.psnr, single.psnr);
         assert!(layers.scale_specular.unwrap().iter().all(|s| (s - 1.5).abs() < 1e-5));
-        let raw = score_views(2, Scaling::None, |i| Ok(views[i].clone())).unwrap();
+        let raw = scored(&views, Scaling::None);
         assert_eq!(raw.scored_prediction(&views[0]), views[0].prediction);
         let shown = layers.scored_prediction(&views[1]);
         assert!(shown.iter().zip(&views[1].truth).all(|(p, t)| p.abs_diff_eq(*t, 1e-5)));
-        assert_eq!(raw.psnr, raw.psnr_raw);
-        assert_eq!(raw.psnr, layers.psnr_raw);
+        assert_eq!((raw.psnr, raw.psnr), (raw.psnr_raw, layers.psnr_raw));
     }
 
     #[test]
     fn each_view_may_have_its_own_scale() {
         let views = [view(0, 1.25, 1.25), view(1, 0.5, 0.5)];
-        let scored = |scaling| score_views(2, scaling, |i| Ok(views[i].clone())).unwrap();
-        let (shared, own) = (scored(Scaling::PerChannel), scored(Scaling::PerView));
+        let (shared, own) = (scored(&views, Scaling::PerChannel), scored(&views, Scaling::PerView));
         assert!(shared.psnr < 40.0 && own.psnr > 90.0, "{} {}", shared.psnr, own.psnr);
         assert!((own.views[1].scale.unwrap()[0] - 0.5).abs() < 1e-6 && (own.scale[0] - 0.875).abs() < 1e-6);
         let shown = own.scored_prediction(&views[1]);
@@ -535,19 +510,15 @@ mod tests {
 
     #[test]
     fn srgb_scores_are_of_the_scaled_prediction_and_only_where_wanted() {
-        let wanted = |i: usize| EvalView { in_srgb: true, ..view(i, 1.25, 1.25) };
-        let scored = |scaling| score_views(2, scaling, |i| Ok(wanted(i))).unwrap();
-        let (plain, scaled) = (scored(Scaling::None), scored(Scaling::PerChannel));
+        let views = [0, 1].map(|i| EvalView { in_srgb: true, ..view(i, 1.25, 1.25) });
+        let (plain, scaled) = (scored(&views, Scaling::None), scored(&views, Scaling::PerChannel));
         let of_views: Vec<f64> = plain.views.iter().map(|v| v.srgb.unwrap().psnr_mask).collect();
         assert_eq!(plain.srgb.unwrap().psnr_mask, (of_views[0] + of_views[1]) / 2.0);
         assert!(plain.srgb.unwrap().psnr_mask < 30.0);
         assert!(scaled.psnr > 90.0 && scaled.srgb.unwrap().psnr_mask > 90.0);
-        let unwanted = score_views(2, Scaling::None, |i| Ok(view(i, 1.25, 1.25))).unwrap();
+        let unwanted = scored(&[view(0, 1.25, 1.25), view(1, 1.25, 1.25)], Scaling::None);
         assert_eq!((unwanted.srgb, unwanted.views[0].srgb), (None, None));
         assert_eq!((unwanted.psnr, unwanted.ssim), (plain.psnr, plain.ssim));
-        let short = EvalView { alpha: vec![1.0], ..wanted(3) };
-        let message = score_views(1, Scaling::None, |_| Ok(short.clone())).unwrap_err().to_string();
-        assert!(message.contains("view_3") && message.contains("1 of coverage"), "{message}");
     }
 
     #[test]
@@ -556,9 +527,7 @@ mod tests {
         let path = folder.path().join("metrics.json");
         let mut scores = Scores { albedo_psnr: Some(35.5), fit_secs: Some(61.25), ..Scores::default() };
         let views = [EvalView { in_srgb: true, ..view(0, 1.1, 1.1) }];
-        scores
-            .passes
-            .insert("relit".into(), score_views(1, Scaling::PerChannel, |i| Ok(views[i].clone())).unwrap());
+        scores.passes.insert("relit".into(), scored(&views, Scaling::PerChannel));
         scores.write_json(&path).unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
         let json: serde_json::Value = serde_json::from_str(&text).unwrap();

@@ -1,22 +1,17 @@
 //! Linear radiance as pictures: exposure, tone curve, backdrop, 8-bit sRGB; heat maps of errors of
 //! radiance; and small JPEGs for pages, of a size that keeps a page within its budget.
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
+use base64::{Engine as _, engine::general_purpose::STANDARD};
 use glam::{Mat3, Vec3};
-use image::imageops::thumbnail;
-use image::{GrayImage, Rgb, RgbImage};
-use lobelia_geometry::view::Frame;
-use lobelia_geometry::{Error, Result};
-use lobelia_io::codec::file::write_bytes;
-use lobelia_io::codec::image::encode_jpeg;
+use image::{GrayImage, Rgb, RgbImage, imageops::thumbnail};
+use lobelia_geometry::{Error, Result, view::Frame};
 use lobelia_io::codec::png_file::{self, PngRows};
+use lobelia_io::{codec::file::write_bytes, codec::image::encode_jpeg};
 use lobelia_sg::color::{linear_from_srgb, srgb_from_linear};
 use png::ColorType;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
-use std::sync::LazyLock;
+use std::{path::Path, sync::LazyLock};
 
 /// Tone mapping of linear radiance to the range of a display.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,18 +42,12 @@ impl Tone {
 
 fn filmic(radiance: Vec3) -> Vec3 {
     // Rows of the published matrices (sRGB → XYZ → D65_2_D60 → AP1 → RRT_SAT, and ODT_SAT → … → sRGB), so transposed here.
-    let aces_from_srgb = Mat3::from_cols_array_2d(&[
-        [0.59719, 0.35458, 0.04823],
-        [0.07600, 0.90834, 0.01566],
-        [0.02840, 0.13383, 0.83777],
-    ])
-    .transpose();
-    let srgb_from_aces = Mat3::from_cols_array_2d(&[
-        [1.60475, -0.53108, -0.07367],
-        [-0.10208, 1.10813, -0.00605],
-        [-0.00327, -0.07276, 1.07602],
-    ])
-    .transpose();
+    const ACES: [[f32; 3]; 3] =
+        [[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]];
+    const SRGB: [[f32; 3]; 3] =
+        [[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]];
+    let [aces_from_srgb, srgb_from_aces] =
+        [ACES, SRGB].map(|rows| Mat3::from_cols_array_2d(&rows).transpose());
     // Beyond this the curve is flat and its squares would overflow.
     let v = (aces_from_srgb * (radiance / 0.6)).min(Vec3::splat(1e6));
     let curved = (v * (v + 0.024_578_6) - 0.000_090_537) / (v * (0.983_729 * v + 0.432_951) + 0.238_081);
@@ -169,9 +158,6 @@ impl<'a> Picture<'a> {
     }
 
     /// The picture on the mat.
-    ///
-    /// # Errors
-    /// Errors of [`Picture::samples8`].
     pub(crate) fn on_mat(&self) -> Result<RgbImage> {
         let mat = Vec3::from(MAT.map(|byte| linear_from_srgb(f32::from(byte) / 255.0)));
         let samples = self.samples8(&Look::default(), Backdrop::Solid(mat))?;
@@ -257,10 +243,9 @@ pub(crate) fn heat_color(value: f32) -> [u8; 3] {
 /// The error at the end of the scale of error maps.
 pub(crate) const LARGEST_ERROR: f32 = 0.25;
 
-/// Map of the errors of a prediction, on a scale that is the same for all pictures: the color at
-/// the root of error / [`LARGEST_ERROR`], so that small errors are seen and large ones told apart.
-/// An error is the mean absolute difference of the channels, both values clipped to `[0, 1]`, in
-/// linear light. Pixels with zero coverage show the mat.
+/// Map of the errors of a prediction, on a scale that is the same for all pictures: the color at the root of error / [`LARGEST_ERROR`], so
+/// that small errors are seen and large ones told apart. An error is the mean absolute difference of the channels, both values clipped to
+/// `[0, 1]`, in linear light. Pixels with zero coverage show the mat.
 pub(crate) fn error_map(
     [width, height]: [usize; 2],
     [prediction, truth]: [&[Vec3]; 2],
@@ -308,18 +293,12 @@ pub(crate) fn thumbnail_mask(mask: &GrayImage, side: u32) -> GrayImage {
 }
 
 /// The picture as a JPEG whose longer side is at most `side` pixels; it is never enlarged.
-///
-/// # Errors
-/// [`Error::Run`] for a picture without pixels.
 pub(crate) fn thumbnail_jpeg(picture: &RgbImage, side: u32) -> Result<Vec<u8>> {
     let small = smaller(picture.dimensions(), side).map(|(w, h)| thumbnail(picture, w, h));
     encode_jpeg(small.as_ref().unwrap_or(picture), QUALITY)
 }
 
 /// Writes [`thumbnail_jpeg`] to a file.
-///
-/// # Errors
-/// Errors of [`thumbnail_jpeg`]; [`Error::Io`] if the file cannot be written.
 pub(crate) fn write_thumbnail(path: &Path, picture: &RgbImage, side: u32) -> Result<()> {
     write_bytes(path, &thumbnail_jpeg(picture, side)?)
 }

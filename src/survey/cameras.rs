@@ -39,7 +39,7 @@ const LEAST_PIXELS: usize = 150;
 /// Standard deviation over the background below which it is plain, in square roots of its mean luminance.
 const PLAIN: f32 = 0.03;
 /// Correlation between backgrounds from which on they are the same.
-const SAME: f32 = 0.85;
+pub(super) const SAME: f32 = 0.85;
 
 /// A line of sight.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,8 +64,7 @@ impl Sight {
     }
 }
 
-/// The point with the least sum of distances to all lines, so that a few wrong ones do not affect it;
-/// `None` if they are parallel.
+/// The point with the least sum of distances to all lines, so that a few wrong ones do not affect it; `None` if they are parallel.
 pub(super) fn meeting_point(sights: &[Sight]) -> Option<DVec3> {
     let base = sights.iter().map(|sight| sight.origin).sum::<DVec3>() / sights.len() as f64;
     let mut weights = vec![1.0; sights.len()];
@@ -80,8 +79,7 @@ pub(super) fn meeting_point(sights: &[Sight]) -> Option<DVec3> {
         }
         let total: f64 = weights.iter().sum();
         point = a.inverse() * b;
-        let sound = a.determinant() > 1e-6 * total.powi(3) && point.is_finite();
-        if !sound {
+        if !(a.determinant() > 1e-6 * total.powi(3) && point.is_finite()) {
             return None;
         }
         let apart = |sight: &Sight| sight.direction.cross(point - (sight.origin - base)).length();
@@ -96,11 +94,6 @@ pub(super) fn meeting_point(sights: &[Sight]) -> Option<DVec3> {
 
 /// Checks that training cameras see one point, by the rays through the centers of the masks' bounding boxes, which nearly meet in one
 /// point of the object.
-///
-/// # Errors
-/// [`Error::Usage`] that names a view and a remedy: fewer than three masks, a mask that is all covered, an
-/// object cut by every frame, views along one line, a camera inside the object, cameras that look away
-/// from it, or cameras and masks that are inconsistent.
 pub(super) fn check_meeting(looks: &[ViewLook]) -> Result<()> {
     let views = || looks.iter().filter(|look| look.split == Split::Train);
     let masked: Vec<&ViewLook> = views().filter(|view| view.mask.is_some()).collect();
@@ -127,21 +120,19 @@ pub(super) fn check_meeting(looks: &[ViewLook]) -> Result<()> {
         return Err(Error::usage(problem, help));
     }
     let sights: Vec<Sight> = outlines.iter().map(|(_, sight)| *sight).collect();
-    let meeting = meeting_point(&sights).ok_or_else(|| {
+    let Some(meeting) = meeting_point(&sights) else {
         let problem = "all views look along one line: the distance of the object cannot be determined";
         let help = "Add views from other sides, and give each its own pose in the frame of the object: of an object that turns before a \
                     fixed camera, as if the camera went around it. `lobelia prepare PHOTOS OUT` finds such poses.";
-        Error::usage(problem, help)
-    })?;
+        return Err(Error::usage(problem, help));
+    };
     let is_behind = |sight: &Sight| sight.direction.dot(meeting - sight.origin) < 0.0;
-    let behind: Vec<&str> =
-        outlines.iter().filter(|(_, sight)| is_behind(sight)).map(|(view, _)| view.name.as_str()).collect();
+    let behind = outlines.iter().filter(|(_, sight)| is_behind(sight));
+    let behind: Vec<&str> = behind.map(|(view, _)| view.name.as_str()).collect();
     if 2 * behind.len() > outlines.len() {
+        let (count, all, first) = (behind.len(), outlines.len(), behind[0]);
         let problem = format!(
-            "{} of {} cameras look away from where their views meet (the first is view `{}`)",
-            behind.len(),
-            outlines.len(),
-            behind[0]
+            "{count} of {all} cameras look away from where their views meet (the first is view `{first}`)"
         );
         let help =
             "Check the convention of the poses: camera axes, and world_from_camera or camera_from_world.";
@@ -168,20 +159,15 @@ pub(super) fn check_meeting(looks: &[ViewLook]) -> Result<()> {
     let far: Vec<(f32, &str)> = far.filter(|(stray, _)| *stray > FAR).collect();
     let (count, all) = (far.len(), outlines.len());
     let worst = far.into_iter().max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(a.1)));
-    match worst.filter(|_| count as f64 > FORGIVEN * all as f64) {
-        None => Ok(()),
-        Some((_, worst)) => Err(Error::usage(
-            format!(
-                "cameras and masks are inconsistent: in {count} of {all} views the place where the others see the object \
-                 is not in the mask; view `{worst}` is farthest off"
-            ),
-            "Correct that view's pose or mask, or leave it out with `select`.",
-        )),
-    }
+    let Some((_, worst)) = worst.filter(|_| count as f64 > FORGIVEN * all as f64) else { return Ok(()) };
+    let problem = format!(
+        "cameras and masks are inconsistent: in {count} of {all} views the place where the others see the object is not in the mask; \
+         view `{worst}` is farthest off"
+    );
+    Err(Error::usage(problem, "Correct that view's pose or mask, or leave it out with `select`."))
 }
 
-/// Distance of the projection of `point` from the mask's box, in sizes of the box; infinity behind the
-/// camera, 0 outside the frame.
+/// Distance of the projection of `point` from the mask's box, in sizes of the box; infinity behind the camera, 0 outside the frame.
 fn stray(view: &ViewLook, point: Vec3) -> f32 {
     let Some(PixelBounds { low, high }) = view.mask.as_ref().and_then(|mask| mask.bounds) else { return 0.0 };
     let Some((x, y, _)) = view.camera.project(point) else { return f32::INFINITY };
@@ -271,8 +257,8 @@ fn elevation(direction: Vec3, axis: Vec3) -> f32 {
 
 /// Least and greatest.
 fn range(values: impl Iterator<Item = f32>) -> [f32; 2] {
-    let (least, most) = (f32::INFINITY, f32::NEG_INFINITY);
-    values.fold([least, most], |[least, most], value| [least.min(value), most.max(value)])
+    values
+        .fold([f32::INFINITY, f32::NEG_INFINITY], |[least, most], value| [least.min(value), most.max(value)])
 }
 
 /// The direction along which directions vary least, on the side of `up`: the eigenvector of their covariance with the smallest
@@ -294,20 +280,18 @@ fn ring_axis(directions: &[Vec3], up: Vec3) -> Option<Vec3> {
 
 /// The number of rings around `axis`, if all directions lie on few.
 fn count_rings(directions: &[Vec3], axis: Vec3) -> Option<usize> {
-    let mut by_height: Vec<(f32, Vec3)> =
-        directions.iter().map(|direction| (elevation(*direction, axis), *direction)).collect();
-    by_height.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut rings: Vec<Vec<(f32, Vec3)>> = Vec::new();
+    let mut by_height = directions.to_vec();
+    let height = |direction: &Vec3| elevation(*direction, axis);
+    by_height.sort_by(|a, b| height(a).total_cmp(&height(b)));
+    let mut rings: Vec<Vec<Vec3>> = Vec::new();
     for camera in by_height {
-        match rings.last_mut().filter(|ring| camera.0 - ring[0].0 <= RING_DEGREES) {
+        match rings.last_mut().filter(|ring| height(&camera) - height(&ring[0]) <= RING_DEGREES) {
             Some(ring) => ring.push(camera),
             None => rings.push(vec![camera]),
         }
     }
-    let is_round = |ring: &Vec<(f32, Vec3)>| {
-        let directions: Vec<Vec3> = ring.iter().map(|camera| camera.1).collect();
-        ring.len() >= RING_CAMERAS && largest_gap(&directions, axis) <= RING_GAP_DEGREES
-    };
+    let is_round =
+        |ring: &Vec<Vec3>| ring.len() >= RING_CAMERAS && largest_gap(ring, axis) <= RING_GAP_DEGREES;
     (rings.len() <= MOST_RINGS && rings.iter().all(is_round)).then_some(rings.len())
 }
 
@@ -339,16 +323,13 @@ pub(super) fn sameness(backgrounds: &[Background]) -> Option<f32> {
     if backgrounds.iter().any(|background| background.size != first.size) {
         return None;
     }
-    let common: Vec<usize> = (0..first.values.len())
-        .filter(|&i| backgrounds.iter().all(|background| background.values[i].is_some()))
-        .collect();
+    let is_common = |i: &usize| backgrounds.iter().all(|background| background.values[*i].is_some());
+    let common: Vec<usize> = (0..first.values.len()).filter(is_common).collect();
     if common.len() < LEAST_PIXELS {
         return None;
     }
-    let rows: Vec<Vec<f32>> = backgrounds
-        .iter()
-        .map(|background| common.iter().filter_map(|&i| background.values[i]).collect())
-        .collect();
+    let row = |of: &Background| common.iter().filter_map(|&i| of.values[i]).collect();
+    let rows: Vec<Vec<f32>> = backgrounds.iter().map(row).collect();
     let count = rows.len() as f32;
     let sums: Vec<f32> = (0..common.len()).map(|i| rows.iter().map(|row| row[i]).sum()).collect();
     let mean = sums.iter().sum::<f32>() / (count * common.len() as f32);
@@ -357,9 +338,8 @@ pub(super) fn sameness(backgrounds: &[Background]) -> Option<f32> {
         return None;
     }
     let one = |row: &Vec<f32>| {
-        let others: Vec<f32> =
-            sums.iter().zip(row).map(|(sum, value)| (sum - value) / (count - 1.0)).collect();
-        correlation(row, &others)
+        let others = sums.iter().zip(row).map(|(sum, value)| (sum - value) / (count - 1.0));
+        correlation(row, &others.collect::<Vec<_>>())
     };
     median(&mut rows.iter().map(one).collect::<Vec<_>>())
 }
@@ -376,12 +356,6 @@ fn correlation(a: &[f32], b: &[f32]) -> f32 {
     let product: f32 = a.iter().zip(b).map(|(a, b)| (a - mean_a) * (b - mean_b)).sum();
     let both = deviation(a) * deviation(b) * a.len() as f32;
     if both > 0.0 { product / both } else { 0.0 }
-}
-
-/// Whether the object turned before a camera that stood still.
-pub(super) fn is_turntable(arrangement: Option<&Arrangement>, sameness: Option<f32>) -> bool {
-    let is_on_rings = arrangement.is_some_and(|arrangement| arrangement.rings.is_some());
-    is_on_rings && sameness.is_some_and(|sameness| sameness >= SAME)
 }
 
 /// The consequence of a turntable for a fit.

@@ -8,17 +8,13 @@ use crate::scene::{
     FitPass, GridLevel, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface,
     ViewChoice, Views, Visibility,
 };
-use crate::survey::counted;
-use crate::survey::look::ViewLook;
+use crate::{survey::counted, survey::look::ViewLook};
 use lobelia_geometry::view::Split;
 use lobelia_sg::statistics::median;
-use lobelia_solve::fit::cameras::CameraUnknowns;
 use lobelia_solve::fit::detail::{KeptPixel, MOST_PIXELS, TexelEquations, finest_side};
-use lobelia_solve::fit::run::EARLY;
-use lobelia_solve::shade::frame::frame_bytes;
 use lobelia_solve::visibility::VisibilitySettings;
-use lobelia_world::sample::pixel::ImageGradient;
-use lobelia_world::sample::{Observation, ObservationIndex};
+use lobelia_solve::{fit::cameras::CameraUnknowns, fit::run::EARLY, shade::frame::frame_bytes};
+use lobelia_world::{sample::Observation, sample::ObservationIndex, sample::pixel::ImageGradient};
 use serde::Serialize;
 
 /// Bytes of a pixel of a photograph in memory, in the rectangle around the object: 8-bit colors, flags, and room for an alpha that is not the mask.
@@ -129,12 +125,10 @@ impl Estimate {
 
     /// "about 1.2 GiB and 3 min on 2 threads (photographs 0.9 GiB, fit 2 min, …)".
     pub fn words(&self) -> String {
-        let mut parts: Vec<&PartEstimate> =
-            self.parts.iter().filter(|part| part.seconds >= 1.0 || part.bytes > 64e6).collect();
+        let is_large = |part: &&PartEstimate| part.seconds >= 1.0 || part.bytes > 64e6;
+        let mut parts: Vec<&PartEstimate> = self.parts.iter().filter(is_large).collect();
         parts.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
-        let part = |part: &&PartEstimate| {
-            format!("{} {}, {}", part.what, duration(part.seconds), memory(part.bytes))
-        };
+        let part = |of: &&PartEstimate| format!("{} {}, {}", of.what, duration(of.seconds), memory(of.bytes));
         let list: Vec<String> = parts.iter().take(4).map(part).collect();
         let list = if list.is_empty() { String::new() } else { format!(" ({})", list.join("; ")) };
         let (bytes, time) = (memory(self.bytes()), duration(self.seconds()));
@@ -167,15 +161,12 @@ pub fn estimate(looks: &[ViewLook], scene: &Scene, threads: usize) -> Estimate {
     let mut parts = vec![task.photographs(), task.part("texels", TEXEL_BYTES * task.texels(), 0.0, true)];
     parts.extend(task.shadows());
     for pass in &scene.passes {
-        if let Pass::Shape(shape) = pass {
-            parts.push(task.mesh(shape));
+        match pass {
+            Pass::Fit(fit) => parts.push(task.fit(fit)),
+            Pass::Shape(shape) => parts.extend(task.shape(shape)),
+            Pass::Evaluate(evaluate) => parts.push(task.scores(&evaluate.name)),
+            other => parts.extend(other.render().map(|render| task.render(other.name(), render))),
         }
-        parts.extend(match pass {
-            Pass::Fit(fit) => Some(task.fit(fit)),
-            Pass::Shape(shape) => Some(task.shape(shape)),
-            Pass::Evaluate(evaluate) => Some(task.scores(&evaluate.name)),
-            other => other.render().map(|render| task.render(other.name(), render)),
-        });
     }
     Estimate { parts, threads }
 }
@@ -197,10 +188,8 @@ fn pixels(look: &ViewLook) -> f64 {
 
 /// Width and height of the rectangle around the object, in pixels of the photograph.
 fn object_sides(look: &ViewLook) -> Option<[f32; 2]> {
-    let bounds = look.mask.as_ref()?.bounds?;
-    let scale =
-        [look.size[0] as f32 / look.camera.width as f32, look.size[1] as f32 / look.camera.height as f32];
-    Some([0, 1].map(|k| (bounds.high[k] - bounds.low[k]) * scale[k]))
+    let (bounds, sides) = (look.mask.as_ref()?.bounds?, [look.camera.width, look.camera.height]);
+    Some([0, 1].map(|k| (bounds.high[k] - bounds.low[k]) * (look.size[k] as f32 / sides[k] as f32)))
 }
 
 /// Pixels of the rectangle around the object, or of the photograph.
@@ -254,12 +243,8 @@ impl Task<'_> {
         let is_unknown = matches!(self.scene.surface, Surface::Unknown { .. });
         let silhouettes = if is_unknown { SILHOUETTE_BYTES } else { 0.0 };
         // Prior maps that may be read beside a photograph.
-        let maps = match &self.scene.views {
-            Views::Dataset(data) => {
-                u8::from(data.priors.albedo.is_some()) + u8::from(data.priors.normals.is_some())
-            }
-            _ => 0,
-        };
+        let priors = if let Views::Dataset(data) = &self.scene.views { Some(&data.priors) } else { None };
+        let maps = priors.map_or(0, |of| u8::from(of.albedo.is_some()) + u8::from(of.normals.is_some()));
         let maps = f64::from(maps);
         let bytes = kept * (PHOTOGRAPH_BYTES + MASK_BYTES + silhouettes + MAP_BYTES * maps);
         self.part("photographs", bytes, read * DECODE_NANOS * (1.0 + maps), true)
@@ -301,29 +286,23 @@ impl Task<'_> {
         let sweeps = visited * DETAIL_PIXEL_NANOS;
         let finest = side * side * (FINEST_TEXEL_BYTES + size_of::<TexelEquations>() as f64);
         let steps = bytes + DETAIL_BYTES + visited * DETAIL_PIXEL_BYTES;
-        self.part(
-            &fit.name,
-            steps.max(finest + FIT_BYTES + visited * DETAIL_PIXEL_BYTES),
-            start + DETAIL_FACTOR * pairs * FIT_PAIR_NANOS + sweeps,
-            false,
-        )
+        let most = steps.max(finest + FIT_BYTES + visited * DETAIL_PIXEL_BYTES);
+        self.part(&fit.name, most, start + DETAIL_FACTOR * pairs * FIT_PAIR_NANOS + sweeps, false)
     }
 
-    /// The mesh that a shape is found as.
-    fn mesh(&self, shape: &ShapePass) -> PartEstimate {
-        let cells = self.resolved(&shape.levels).last().map_or(0.0, |level| f64::from(level.cells));
-        self.part("mesh", cells * cells * MESH_BYTES, 0.0, true)
-    }
-
-    fn shape(&self, shape: &ShapePass) -> PartEstimate {
+    /// The mesh that a shape is found as, and its fit.
+    fn shape(&self, shape: &ShapePass) -> [PartEstimate; 2] {
         let levels = self.resolved(&shape.levels);
+        let cells = levels.last().map_or(0.0, |level| f64::from(level.cells));
+        let mesh = self.part("mesh", cells * cells * MESH_BYTES, 0.0, true);
         let steps: f64 = levels.iter().map(|level| f64::from(level.steps)).sum();
         let cube = |cells: u32| f64::from(cells).powi(3);
-        let of_level =
-            |level: &GridLevel| cube(level.cells) * CELL_BYTES + cube(level.texel_cells) * LATTICE_BYTES;
-        let bytes = self.pool(shape.max_pixels) * pool_bytes(shape.cameras)
-            + levels.iter().map(of_level).fold(0.0, f64::max);
-        self.part(&shape.name, bytes, steps * f64::from(shape.batch) * SHAPE_PIXEL_NANOS, false)
+        let grids = levels
+            .iter()
+            .map(|level| cube(level.cells) * CELL_BYTES + cube(level.texel_cells) * LATTICE_BYTES);
+        let bytes = self.pool(shape.max_pixels) * pool_bytes(shape.cameras) + grids.fold(0.0, f64::max);
+        let nanos = steps * f64::from(shape.batch) * SHAPE_PIXEL_NANOS;
+        [mesh, self.part(&shape.name, bytes, nanos, false)]
     }
 
     /// One view at a time is scored.
@@ -343,19 +322,14 @@ impl Task<'_> {
         &levels[..count]
     }
 
-    /// The views that a pass renders.
-    fn chosen(&self, render: &RenderSettings) -> Vec<&ViewLook> {
+    fn render(&self, name: &str, render: &RenderSettings) -> PartEstimate {
         let is_chosen = |look: &&ViewLook| match &render.views {
             ViewChoice::Test => look.split == Split::Test,
             ViewChoice::Train => look.split == Split::Train,
             ViewChoice::All => true,
             ViewChoice::Named(names) => names.contains(&look.name),
         };
-        self.looks.iter().filter(is_chosen).collect()
-    }
-
-    fn render(&self, name: &str, render: &RenderSettings) -> PartEstimate {
-        let views = self.chosen(render);
+        let views: Vec<&ViewLook> = self.looks.iter().filter(is_chosen).collect();
         let orbit = render.orbit.as_ref().map_or((0, 0.0), |orbit| {
             let size = orbit.sides();
             let pixels = f64::from(size[0]) * f64::from(size[1]);

@@ -2,8 +2,7 @@
 
 use lobelia_geometry::view::raster::FULL_COVERAGE;
 use lobelia_geometry::view::{Camera, Mask, Photograph, Placement, Split, ViewRecord};
-use lobelia_sg::color::luminance;
-use lobelia_sg::statistics::quantile;
+use lobelia_sg::{color::luminance, statistics::quantile};
 use serde::Serialize;
 
 /// Most pixels along a side of the pictures that are looked at.
@@ -43,8 +42,7 @@ pub struct ViewLook {
     pub mask_source: MaskOrigin,
     /// The mask, unless there is none.
     pub mask: Option<MaskLook>,
-    /// Intersection over union of the mask with the silhouette of the known mesh, or of the visual hull
-    /// of all masks; set by a survey.
+    /// Intersection over union of the mask with the silhouette of the known mesh, or of the visual hull of all masks; set by a survey.
     pub overlap: Option<f32>,
     /// Exposure above that of views from nearly the same side, in stops; set by a survey.
     pub stops: Option<f32>,
@@ -111,12 +109,9 @@ impl ViewLook {
         let camera = view.camera.scaled(factor);
         let frame = [view.camera.width, view.camera.height].map(|side| side as f32 / factor as f32);
         let mask = whole.as_ref().map(|mask| mask.downscaled(factor));
-        let light = view.photograph.as_ref().map(|photograph| {
-            let clipped = clipped(photograph, whole.as_ref());
-            RadianceStatistics { clipped, ..RadianceStatistics::new(photograph, factor, mask.as_ref()) }
-        });
+        let statistics = |of| RadianceStatistics::new(of, factor, whole.as_ref(), mask.as_ref());
         Self {
-            light,
+            light: view.photograph.as_ref().map(statistics),
             camera,
             mask_source: if mask.is_some() { mask_source } else { MaskOrigin::Nowhere },
             mask: mask.map(|mask| MaskLook::new(&mask, &camera, frame)),
@@ -147,16 +142,13 @@ impl ViewLook {
     }
 }
 
-/// The share of the object's pixels with a channel at the top of its range.
-fn clipped(photograph: &Photograph, mask: Option<&Mask>) -> f32 {
-    let [width, height] = photograph.size();
-    let is_inside = |i: &usize| mask.is_none_or(|mask| mask.coverage[*i] >= FULL_COVERAGE);
-    let inside = || (0..width as usize * height as usize).filter(is_inside);
-    inside().filter(|i| photograph.is_saturated(*i)).count() as f32 / inside().count().max(1) as f32
-}
-
 impl RadianceStatistics {
-    fn new(photograph: &Photograph, factor: u32, mask: Option<&Mask>) -> Self {
+    /// Of a photograph, all of it and reduced by a factor, with its mask, whole and reduced.
+    fn new(photograph: &Photograph, factor: u32, whole: Option<&Mask>, mask: Option<&Mask>) -> Self {
+        let [width, height] = photograph.size();
+        let is_inside = |i: &usize| whole.is_none_or(|mask| mask.coverage[*i] >= FULL_COVERAGE);
+        let inside = || (0..width as usize * height as usize).filter(is_inside);
+        let saturated = inside().filter(|i| photograph.is_saturated(*i)).count();
         let pixels = photograph.image().downscaled(factor).pixels;
         let covered = |least: f32| {
             let is_inside = move |i: &usize| mask.is_none_or(|mask| mask.coverage[*i] >= least);
@@ -176,7 +168,7 @@ impl RadianceStatistics {
             level: (sum / lights.len().max(1) as f64) as f32,
             bright: quantile(&mut lights, 0.99).unwrap_or(0.0),
             highest: chosen.iter().map(|pixel| pixel.max_element()).fold(f32::NEG_INFINITY, f32::max),
-            clipped: 0.0,
+            clipped: saturated as f32 / inside().count().max(1) as f32,
         }
     }
 }
@@ -210,14 +202,13 @@ impl MaskLook {
     /// Whether the frame cuts the object.
     pub fn is_cut(&self, camera: &Camera) -> bool {
         let size = [camera.width as f32, camera.height as f32];
-        self.bounds
-            .is_some_and(|PixelBounds { low, high }| (0..2).any(|k| low[k] == 0.0 || high[k] == size[k]))
+        let is_cut = |of: PixelBounds| (0..2).any(|k| of.low[k] == 0.0 || of.high[k] == size[k]);
+        self.bounds.is_some_and(is_cut)
     }
 }
 
 impl SmallMask {
-    /// A mask and its camera, shrunk by a whole factor until neither side is over `side`; a pixel is
-    /// covered if most of its block is.
+    /// A mask and its camera, shrunk by a whole factor until neither side is over `side`; a pixel is covered if most of its block is.
     fn of(mask: &Mask, camera: &Camera, frame: [f32; 2], side: u32) -> Self {
         let factor = mask.width.max(mask.height).div_ceil(side).max(1);
         let small = mask.downscaled(factor);

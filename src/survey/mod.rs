@@ -29,15 +29,11 @@ use cameras::{Arrangement, Background};
 use estimate::Estimate;
 use glam::Vec3;
 use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::view::Split;
-use lobelia_io::codec::file::write_bytes;
-use lobelia_io::dataset::Layout;
+use lobelia_geometry::{mesh::bvh::TriangleBvh, mesh::triangles::Mesh, view::Split};
+use lobelia_io::{codec::file::write_bytes, dataset::Layout};
 use serde::Serialize;
 use serde_json::json;
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 /// Severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -134,7 +130,8 @@ pub struct Survey {
 impl Survey {
     /// Whether the cameras lie on rings and the background says that the object turned before them.
     pub fn is_turntable(&self) -> bool {
-        cameras::is_turntable(self.arrangement.as_ref(), self.background)
+        let is_on_rings = self.arrangement.as_ref().is_some_and(|arrangement| arrangement.rings.is_some());
+        is_on_rings && self.background.is_some_and(|sameness| sameness >= cameras::SAME)
     }
 
     /// Findings of one severity.
@@ -149,38 +146,26 @@ impl Survey {
     pub fn write_json(&self, path: &Path, estimate: &Estimate) -> Result<()> {
         let failed = |error: serde_json::Error| Error::run("writing the survey", error.to_string());
         let mut value = serde_json::to_value(self).map_err(failed)?;
-        value["estimate"] = json!({
-            "bytes": estimate.bytes(),
-            "seconds": estimate.seconds(),
-            "threads": estimate.threads,
-            "parts": estimate.parts,
-        });
+        let (bytes, seconds, Estimate { threads, parts }) = (estimate.bytes(), estimate.seconds(), estimate);
+        value["estimate"] = json!({ "bytes": bytes, "seconds": seconds, "threads": threads, "parts": parts });
         write_bytes(path, format!("{value:#}").as_bytes())
     }
 }
 
 /// Finds problems of views of `mesh`, the object in the coordinates of the cameras, or of an object whose shape is to be found from
 /// the masks. `up` is the data's up direction; `backgrounds` are those of some photographs, before masks make them black.
-pub fn examine(
-    mut looks: Vec<ViewLook>,
-    mesh: Option<&Mesh>,
-    up: Vec3,
-    backgrounds: &[Background],
-) -> Survey {
-    tell_apart(&mut looks);
+pub fn examine(looks: Vec<ViewLook>, mesh: Option<&Mesh>, up: Vec3, backgrounds: &[Background]) -> Survey {
     let bvh = mesh.filter(|mesh| !mesh.triangles.is_empty()).map(TriangleBvh::new);
     let mut survey = Survey { looks, has_mesh: bvh.is_some(), ..Survey::default() };
+    tell_apart(&mut survey.looks);
     survey.findings.extend(photographs::black(&survey.looks));
     survey.findings.extend(photographs::of_masks(&survey.looks, mesh.is_some()));
     let is_inverted = |finding: &&Finding| finding.name == "inverted-masks";
     let inverted = survey.findings.iter().find(is_inverted).cloned();
     // With inverted masks nothing agrees, and that is not the cameras' fault.
     if inverted.as_ref().is_none_or(|inverted| inverted.severity == Severity::Warning) {
-        let complaint = match bvh {
-            Some(_) => None,
-            None => cameras::check_meeting(&survey.looks).err(),
-        };
-        let complaint = complaint.map(|error| Finding::from_error("masks", &error));
+        let error = cameras::check_meeting(&survey.looks).err().filter(|_| bvh.is_none());
+        let complaint = error.map(|error| Finding::from_error("masks", &error));
         survey.findings.extend(silhouettes::of_silhouettes(bvh.as_ref(), &mut survey.looks, complaint));
     }
     let center = bvh.map(|bvh| bvh.bounding_sphere().0);
@@ -190,8 +175,8 @@ pub fn examine(
     if let Some(arrangement) = survey.arrangement.as_ref().filter(|_| poses_are_right) {
         let directions = arrangement.directions(&survey.looks);
         let spoils = |finding: &&Finding| finding.severity == Severity::Error || finding.name == "stray-view";
-        let faults: Vec<&Finding> = survey.findings.iter().filter(spoils).collect();
-        let is_spoiled = |look: &ViewLook| faults.iter().any(|fault| fault.views.contains(&look.name));
+        let faults = || survey.findings.iter().filter(spoils);
+        let is_spoiled = |look: &ViewLook| faults().any(|fault| fault.views.contains(&look.name));
         let spoiled: Vec<bool> = survey.looks.iter().map(is_spoiled).collect();
         let found = photographs::of_exposure(&mut survey.looks, &directions, &spoiled);
         survey.findings.extend(found);
@@ -203,8 +188,8 @@ pub fn examine(
     // Where a mask is inverted, the background is what was looked at.
     let inverted = inverted.map_or(Vec::new(), |finding| finding.views);
     survey.findings.retain(|finding| {
-        let is_explained = ["black", "stray-view"].contains(&finding.name) && !inverted.is_empty();
-        !(is_explained && finding.views.iter().all(|view| inverted.contains(view)))
+        let is_explained = finding.views.iter().all(|view| inverted.contains(view));
+        !(is_explained && ["black", "stray-view"].contains(&finding.name))
     });
     survey.findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     survey

@@ -1,14 +1,12 @@
 //! Reading a scene's data for a survey: every view once, small, with few of them in memory at a time.
 
-use crate::report::sheet::choose_evenly;
 use crate::scene::{Dataset, Pass, Scene, Surface, ViewChoice, Views};
 use crate::survey::cameras::{BACKGROUND_SIDE, BACKGROUNDS, Background};
 use crate::survey::look::{MaskOrigin, SmallMask, ViewLook};
-use crate::survey::{Survey, examine};
+use crate::{report::sheet::choose_evenly, survey::Survey, survey::examine};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
-use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
 use lobelia_geometry::view::{Photograph, Split, ViewPriors, ViewRecord};
+use lobelia_geometry::{Result, mesh::primitive::box_mesh, mesh::primitive::sphere_mesh};
 use lobelia_io::codec::gltf::import::read_mesh;
 use lobelia_io::codec::image::{Gamma, Orientation, read_image};
 use lobelia_io::dataset::{
@@ -50,8 +48,12 @@ impl<'a> OpenScene<'a> {
             placements: spec.placements.iter().map(|of| of.photographs.clone()).collect(),
         };
         let mut open = Self { scene, spec, layout: spec.layout, views: Vec::new(), notes: Vec::new() };
-        for split in [Split::Train, Split::Test] {
-            if !needs(scene, split) && !has_split(&spec.path, split, &options)? {
+        for (split, choice) in [(Split::Train, ViewChoice::Train), (Split::Test, ViewChoice::Test)] {
+            let needs = |pass: &Pass| match pass {
+                Pass::Fit(_) | Pass::Shape(_) => split == Split::Train,
+                _ => pass.render().is_some_and(|settings| settings.views == choice),
+            };
+            if !scene.passes.iter().any(needs) && !has_split(&spec.path, split, &options)? {
                 continue;
             }
             let opened = open_dataset(&spec.path, split, &options)?;
@@ -101,23 +103,18 @@ impl<'a> OpenScene<'a> {
 /// record without the pixels of the photograph, and without the mask unless the surface is made of it.
 ///
 /// # Errors
-/// Errors of [`OpenScene::new`]; the first, in the order of the views, of reading photographs and
-/// masks; errors of reading the mesh.
+/// Errors of [`OpenScene::new`]; the first, in the order of the views, of reading photographs and masks; errors of reading the mesh.
 pub fn survey(scene: &Scene) -> Result<Option<(Survey, Vec<ViewRecord>)>> {
     let Some(open) = OpenScene::new(scene)? else { return Ok(None) };
     let needs_masks = matches!(scene.surface, Surface::Unknown { .. });
     let look_at = |view: &PlannedView| {
-        let loaded = open.load(view)?;
+        let mut loaded = open.load(view)?;
         let look = open.look(view, &loaded);
-        let LoadedView { record, .. } = loaded;
-        let [width, height] = [record.camera.width, record.camera.height];
-        let rest = ViewRecord {
-            photograph: record.photograph.map(|_| Photograph::without_pixels(width, height)),
-            mask: record.mask.filter(|_| needs_masks),
-            priors: ViewPriors::default(),
-            ..record
-        };
-        Ok((look, LoadedView { record: rest, ..loaded }))
+        let ViewRecord { photograph, mask, priors, camera, .. } = &mut loaded.record;
+        *photograph = photograph.take().map(|_| Photograph::without_pixels(camera.width, camera.height));
+        *mask = mask.take().filter(|_| needs_masks);
+        *priors = ViewPriors::default();
+        Ok((look, loaded))
     };
     let looked: Vec<Result<(ViewLook, LoadedView)>> = open.views.par_iter().map(look_at).collect();
     let looked = looked.into_iter().collect::<Result<Vec<_>>>()?;
@@ -127,23 +124,12 @@ pub fn survey(scene: &Scene) -> Result<Option<(Survey, Vec<ViewRecord>)>> {
     Ok(Some((survey, loaded.into_iter().map(|view| view.record).collect())))
 }
 
-/// Whether a pass needs views of this split.
-fn needs(scene: &Scene, split: Split) -> bool {
-    let choice = if split == Split::Train { ViewChoice::Train } else { ViewChoice::Test };
-    scene.passes.iter().any(|pass| match pass {
-        Pass::Fit(_) | Pass::Shape(_) => split == Split::Train,
-        _ => pass.render().is_some_and(|settings| settings.views == choice),
-    })
-}
-
 /// Backgrounds of some photographs that have masks of their own and no alpha.
 fn backgrounds(planned: &[PlannedView], looks: &[ViewLook], gamma: Gamma) -> Result<Vec<Background>> {
-    let masked: Vec<(&PlannedView, &SmallMask)> = planned
-        .iter()
-        .zip(looks)
-        .filter(|(_, look)| look.mask_source == MaskOrigin::File && look.light.is_some())
-        .filter_map(|(view, look)| Some((view, &look.mask.as_ref()?.small)))
-        .collect();
+    let views = planned.iter().zip(looks);
+    let views = views.filter(|(_, look)| look.mask_source == MaskOrigin::File && look.light.is_some());
+    let masked: Vec<(&PlannedView, &SmallMask)> =
+        views.filter_map(|(view, look)| Some((view, &look.mask.as_ref()?.small))).collect();
     let chosen = choose_evenly(masked.len(), BACKGROUNDS);
     let read: Vec<Result<Option<Background>>> =
         chosen.into_par_iter().map(|i| background(masked[i].0, masked[i].1, gamma)).collect();

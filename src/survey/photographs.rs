@@ -38,13 +38,11 @@ pub(super) fn black(looks: &[ViewLook]) -> Option<Finding> {
     for look in looks {
         medians.entry(look.placement).or_default().extend(look.light.map(|light| light.median));
     }
-    let usual: BTreeMap<Placement, f32> =
-        medians.into_iter().map(|(key, mut values)| (key, median(&mut values).unwrap_or(0.0))).collect();
+    let usual = medians.into_iter().map(|(key, mut values)| (key, median(&mut values).unwrap_or(0.0)));
+    let usual: BTreeMap<Placement, f32> = usual.collect();
     let is_black = |look: &&ViewLook| {
-        look.light.is_some_and(|light| {
-            let usual = usual[&look.placement];
-            light.highest <= 0.0 || (usual > 0.0 && light.bright < BLACK * usual)
-        })
+        let (light, usual) = (look.light, usual[&look.placement]);
+        light.is_some_and(|of| of.highest <= 0.0 || (usual > 0.0 && of.bright < BLACK * usual))
     };
     let views = names(looks.iter().filter(is_black));
     let problem = format!("the photograph is black where the object is, in {}", named(&views));
@@ -78,14 +76,13 @@ fn inverted(looks: &[ViewLook]) -> Option<Finding> {
     let is_inverted = |mask: &MaskLook| mask.border > BORDER && mask.coverage < 1.0 - LEFT_OUT;
     let views = names(masked(looks).filter(|(_, mask)| is_inverted(mask)).map(|(look, _)| look));
     let is_error = 2 * views.len() >= masked(looks).count();
+    let (severity, is_there) = (Severity::error_if(is_error), !views.is_empty());
     let problem = format!("the mask looks inverted, white around the object, in {}", named(&views));
     let help = "A mask is white where the object is and black elsewhere: invert it.";
-    (!views.is_empty())
-        .then(|| Finding::new(Severity::error_if(is_error), "inverted-masks", views, problem, help))
+    is_there.then(|| Finding::new(severity, "inverted-masks", views, problem, help))
 }
 
-/// Views without masks. Where no view has one, that is a warning beside a mesh, and an error of the
-/// cameras without a mesh.
+/// Views without masks. Where no view has one, that is a warning beside a mesh, and an error of the cameras without a mesh.
 fn missing(looks: &[ViewLook], has_mesh: bool) -> Option<Finding> {
     let without = || looks.iter().filter(|look| look.mask.is_none() && look.light.is_some());
     let has_none = masked(looks).next().is_none();
@@ -104,9 +101,8 @@ fn missing(looks: &[ViewLook], has_mesh: bool) -> Option<Finding> {
     Some(Finding::new(Severity::Warning, "missing-masks", views, problem, help))
 }
 
-/// Compares the exposure of each view with that of views of the same placement from nearly the same side:
-/// sets [`ViewLook::stops`], and names outliers. `directions` are those of the cameras from the object; views with another fault
-/// (`spoiled`) are left out.
+/// Compares the exposure of each view with that of views of the same placement from nearly the same side: sets [`ViewLook::stops`], and
+/// names outliers. `directions` are those of the cameras from the object; views with another fault (`spoiled`) are left out.
 pub(super) fn of_exposure(looks: &mut [ViewLook], directions: &[Vec3], spoiled: &[bool]) -> Option<Finding> {
     let level = |look: &ViewLook| look.light.map(|light| light.level).filter(|level| *level > 0.0);
     let mut by_placement: BTreeMap<Placement, Vec<(usize, f32)>> = BTreeMap::new();
@@ -150,8 +146,7 @@ pub(super) fn of_exposure(looks: &mut [ViewLook], directions: &[Vec3], spoiled: 
     Some(Finding::new(Severity::Warning, "exposure", views, problem, help))
 }
 
-/// For each unit direction, the indices of the `count` nearest others, the nearest first; equal distances
-/// are ordered by index.
+/// For each unit direction, the indices of the `count` nearest others, the nearest first; equal distances are ordered by index.
 fn neighbors(directions: &[Vec3], count: usize) -> Vec<Vec<usize>> {
     let nearest = |i: usize| {
         let mut others: Vec<usize> = (0..directions.len()).filter(|&k| k != i).collect();

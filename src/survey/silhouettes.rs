@@ -1,18 +1,13 @@
 //! Masks beside silhouettes: those of a known mesh, or of the visual hull of all masks. Where they disagree, the usual
 //! mistakes with cameras, photographs and meshes are undone one at a time, and the one after which they agree is named.
 
-use crate::report::sheet::choose_evenly;
-use crate::survey::cameras::{Sight, meeting_point};
 use crate::survey::look::{SmallMask, ViewLook};
 use crate::survey::{Finding, Severity, named};
+use crate::{report::sheet::choose_evenly, survey::cameras::Sight, survey::cameras::meeting_point};
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
-use lobelia_geometry::error::Result;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::sdf::SdfGrid;
-use lobelia_geometry::view::{Split, StoredMask};
+use lobelia_geometry::{Result, mesh::bvh::TriangleBvh, sdf::SdfGrid, view::Split, view::StoredMask};
 use lobelia_sg::statistics::median;
-use lobelia_solve::shape::hull::visual_hull;
-use lobelia_solve::shape::silhouette::Silhouette;
+use lobelia_solve::{shape::hull::visual_hull, shape::silhouette::Silhouette};
 use rayon::prelude::*;
 
 /// Overlap (intersection over union) with a mesh, and with a hull, from which on no mistake is looked for. Seven sound sets of 32 to
@@ -85,14 +80,12 @@ impl<'a> Shape<'a> {
         masks: impl Iterator<Item = (&'b str, &'b SmallMask)>,
         cells: u32,
     ) -> Result<Self> {
-        if let Some(bvh) = mesh {
-            return Ok(Self::Mesh(bvh));
-        }
-        let silhouette = |(name, view): (&str, &SmallMask)| {
-            Silhouette::new(name, &view.camera, &StoredMask::new(&view.mask()))
+        let Some(bvh) = mesh else {
+            let silhouettes = masks
+                .filter_map(|(name, of)| Silhouette::new(name, &of.camera, &StoredMask::new(&of.mask())));
+            return visual_hull(&mut silhouettes.collect::<Vec<_>>(), cells).map(Self::Hull);
         };
-        let mut silhouettes: Vec<Silhouette> = masks.filter_map(silhouette).collect();
-        visual_hull(&mut silhouettes, cells).map(Self::Hull)
+        Ok(Self::Mesh(bvh))
     }
 
     /// Whether each pixel of a view's frame is covered.
@@ -107,9 +100,10 @@ impl<'a> Shape<'a> {
     /// Pixels in both silhouette and mask over pixels in either; 0 if neither has any.
     fn overlap(&self, view: &SmallMask) -> f32 {
         let covered = self.covered(view);
-        let both = || covered.iter().zip(&view.inside);
-        let either = both().filter(|(a, b)| **a || **b).count();
-        both().filter(|(a, b)| **a && **b).count() as f32 / either.max(1) as f32
+        let count = |is: fn(bool, bool) -> bool| {
+            covered.iter().zip(&view.inside).filter(|(a, b)| is(**a, **b)).count() as f32
+        };
+        count(|a, b| a && b) / count(|a, b| a || b).max(1.0)
     }
 }
 
@@ -130,11 +124,10 @@ pub(super) fn of_silhouettes(
             return Some(explained(mesh, looks, 0.0).unwrap_or(complaint));
         }
     };
-    looks.par_iter_mut().for_each(|look| {
-        look.overlap = look.mask.as_ref().map(|mask| shape.overlap(&mask.small));
-    });
-    let mut worst: Vec<(f32, String)> =
-        looks.iter().filter_map(|look| Some((look.overlap?, look.name.clone()))).collect();
+    let overlap = |look: &ViewLook| look.mask.as_ref().map(|mask| shape.overlap(&mask.small));
+    looks.par_iter_mut().for_each(|look| look.overlap = overlap(look));
+    let overlaps = looks.iter().filter_map(|look| Some((look.overlap?, look.name.clone())));
+    let mut worst: Vec<(f32, String)> = overlaps.collect();
     worst.sort_by(|a, b| a.0.total_cmp(&b.0));
     let Some(middle) = median(&mut worst.iter().map(|view| view.0).collect::<Vec<_>>()) else {
         return complaint;
@@ -144,14 +137,13 @@ pub(super) fn of_silhouettes(
     if let Some(finding) = cause.flatten().or(complaint) {
         return Some(finding);
     }
+    let names = |worst: Vec<(f32, String)>| worst.into_iter().map(|view| view.1).collect::<Vec<_>>();
     if middle < covers {
-        let views = worst.into_iter().map(|view| view.1).collect();
-        return Some(unexplained(mesh.is_some(), views, middle));
+        return Some(unexplained(mesh.is_some(), names(worst), middle));
     }
     // Single views that do not agree where the others do.
     worst.retain(|view| view.0 < middle - STRAY_BY);
-    let least = worst.first()?.0;
-    let views: Vec<String> = worst.into_iter().map(|view| view.1).collect();
+    let (least, views) = (worst.first()?.0, names(worst));
     let with = if mesh.is_some() { "the mesh" } else { "the visual hull of all masks" };
     let problem = format!(
         "mask or camera does not agree with {with} in {}: they overlap to {least:.2} in the worst (intersection over union), to {middle:.2} \
@@ -234,26 +226,24 @@ impl Undoing {
         let convention = "of the layout's convention (see the manual, Data layouts)";
         let negated = "y and z of the camera axes are negated";
         let mirror = "Mirror the photographs and masks back, or the cameras with them.";
-        let (mistake, remedy) = match *self {
+        let upright =
+            "Turn photographs and masks as the cameras are; check the EXIF orientation that was applied.";
+        match *self {
             Self::Axes(_) => {
                 let negate = "negate the second and the third column of each camera's rotation.";
                 let mistake = format!("{negated} (OpenGL and OpenCV are confused)");
-                return (mistake, format!("Write the axes {convention}: {negate}"));
+                (mistake, format!("Write the axes {convention}: {negate}"))
             }
             Self::Inverted(axes) => {
                 let also = if axes == OPENGL { format!(", and {negated}") } else { String::new() };
                 let mistake = format!("camera_from_world is taken for world_from_camera{also}");
-                return (mistake, format!("Write the matrices {convention}: invert each of them."));
+                (mistake, format!("Write the matrices {convention}: invert each of them."))
             }
-            Self::Mesh { turn, scale, shift } => return words_of_mesh(turn, scale, shift),
-            Self::Picture([-1.0, -1.0]) => (
-                "photographs are upside down",
-                "Turn photographs and masks as the cameras are; check the EXIF orientation that was applied.",
-            ),
-            Self::Picture([-1.0, _]) => ("photographs are mirrored left to right", mirror),
-            Self::Picture(_) => ("photographs are mirrored top to bottom", mirror),
-        };
-        (mistake.to_owned(), remedy.to_owned())
+            Self::Mesh { turn, scale, shift } => words_of_mesh(turn, scale, shift),
+            Self::Picture([-1.0, -1.0]) => ("photographs are upside down".into(), upright.into()),
+            Self::Picture([-1.0, _]) => ("photographs are mirrored left to right".into(), mirror.into()),
+            Self::Picture(_) => ("photographs are mirrored top to bottom".into(), mirror.into()),
+        }
     }
 }
 
@@ -302,18 +292,16 @@ fn explained(mesh: Option<&TriangleBvh>, looks: &[ViewLook], middle: f32) -> Opt
     let views = tried(looks, count, side);
     // The median overlap, 0 without a hull.
     let reached = |views: &[SmallMask]| {
-        let shape = Shape::new(mesh, views.iter().map(|view| ("", view)), TRIED_CELLS);
+        let shape = Shape::new(mesh, views.iter().map(|view| ("", view)), TRIED_CELLS).ok();
         let found = shape.map(|shape| views.par_iter().map(|view| shape.overlap(view)).collect::<Vec<_>>());
-        median(&mut found.unwrap_or_default()).unwrap_or(0.0)
+        found.and_then(|mut found| median(&mut found)).unwrap_or(0.0)
     };
     let given = reached(&views);
     // The first of the best.
     let best = |undoings: Vec<Undoing>| {
-        let after = |undoing: Undoing| {
-            let changed: Vec<SmallMask> = views.iter().map(|view| undoing.of(view)).collect();
-            (reached(&changed), undoing)
-        };
-        let tried: Vec<(f32, Undoing)> = undoings.into_iter().map(after).collect();
+        let changed = |undoing: &Undoing| views.iter().map(|view| undoing.of(view)).collect::<Vec<_>>();
+        let tried = undoings.into_iter().map(|undoing| (reached(&changed(&undoing)), undoing));
+        let tried: Vec<(f32, Undoing)> = tried.collect();
         let most = tried.iter().map(|(reached, _)| *reached).fold(0.0, f32::max);
         let tie = TIE.min(TIE_SHARE * (1.0 - given));
         let (reached, undoing) = tried.into_iter().find(|(reached, _)| *reached >= most - tie)?;
@@ -325,7 +313,7 @@ fn explained(mesh: Option<&TriangleBvh>, looks: &[ViewLook], middle: f32) -> Opt
             let turns = turns();
             let turned = turns[1..].iter().map(|&turn| Undoing::Mesh { turn, scale: 1.0, shift: Vec3::ZERO });
             let placed =
-                |turns: &[Mat3A]| best(turns.iter().filter_map(|turn| placed(bvh, &views, *turn)).collect());
+                |of: &[Mat3A]| best(of.iter().filter_map(|turn| placed(bvh, &views, *turn)).collect());
             // A mesh that covers the masks is not turned and of another size at once.
             let others = if middle < COVERS { &turns[1..] } else { &[] };
             best(CAMERA_MISTAKES.into_iter().chain(turned).collect())
@@ -342,9 +330,8 @@ fn explained(mesh: Option<&TriangleBvh>, looks: &[ViewLook], middle: f32) -> Opt
         "{silhouettes} to {reached:.2} instead of {given:.2} (intersection over union) once this is put right: {mistake}"
     );
     let (name, is_size) = match undoing {
-        Undoing::Mesh { turn, scale, shift } if scale != 1.0 || shift != Vec3::ZERO => {
-            ("other-place", turn == Mat3A::IDENTITY)
-        }
+        Undoing::Mesh { scale: 1.0, shift: Vec3::ZERO, .. } => ("other-axes", false),
+        Undoing::Mesh { turn, .. } => ("other-place", turn == Mat3A::IDENTITY),
         _ => ("other-axes", false),
     };
     // A mesh that is a little too large covers the photographs nonetheless.
@@ -408,13 +395,13 @@ fn placed(bvh: &TriangleBvh, views: &[SmallMask], turn: Mat3A) -> Option<Undoing
 /// The ray through the center of a silhouette, and the root of its area as an angle; `None` if nothing is covered.
 fn spot(view: &SmallMask, inside: &[bool]) -> Option<(Sight, f32)> {
     let width = view.camera.width as usize;
-    let pixels: Vec<usize> = (0..inside.len()).filter(|i| inside[*i]).collect();
-    let count = pixels.len() as f32;
-    let middle =
-        |at: &dyn Fn(usize) -> usize| pixels.iter().map(|i| at(*i) as f32).sum::<f32>() / count + 0.5;
-    let sight = || Sight::new(&view.camera, middle(&|i| i % width), middle(&|i| i / width));
+    let pixels = || (0..inside.len()).filter(|i| inside[*i]);
+    let count = pixels().count() as f32;
+    let [x, y] =
+        [pixels().map(|i| (i % width) as f32).sum(), pixels().map(|i| (i / width) as f32).sum::<f32>()];
+    let sight = || Sight::new(&view.camera, x / count + 0.5, y / count + 0.5);
     let focal = (view.camera.focal[0] * view.camera.focal[1]).abs().sqrt();
-    (!pixels.is_empty()).then(|| (sight(), count.sqrt() / focal))
+    (count > 0.0).then(|| (sight(), count.sqrt() / focal))
 }
 
 /// The object as several silhouettes show it: where, and how large.
@@ -422,9 +409,9 @@ fn place(spots: impl Iterator<Item = (Sight, f32)>) -> Option<(Vec3, f32)> {
     let spots: Vec<(Sight, f32)> = spots.collect();
     let sights: Vec<Sight> = spots.iter().map(|spot| spot.0).collect();
     let center = meeting_point(&sights).filter(|_| sights.len() >= 2)?;
-    let mut sizes: Vec<f32> =
-        spots.iter().map(|(sight, size)| size * sight.origin.distance(center) as f32).collect();
-    Some((center.as_vec3(), median(&mut sizes)?)).filter(|(center, size)| center.is_finite() && *size > 0.0)
+    let sizes = spots.iter().map(|(sight, size)| size * sight.origin.distance(center) as f32);
+    let size = median(&mut sizes.collect::<Vec<_>>())?;
+    Some((center.as_vec3(), size)).filter(|(center, size)| center.is_finite() && *size > 0.0)
 }
 
 /// A number with three significant digits.

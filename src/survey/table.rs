@@ -28,12 +28,10 @@ pub fn findings(survey: &Survey) -> String {
 /// "fine", "2 warnings", "1 error, 2 warnings"; `further_errors` are those that no survey finds.
 pub fn verdict(survey: Option<&Survey>, further_errors: usize) -> String {
     let count = |severity| survey.map_or(0, |survey| survey.findings_of(severity).count());
-    match (count(Severity::Error) + further_errors, count(Severity::Warning)) {
-        (0, 0) => "fine".to_owned(),
-        (0, warnings) => counted(warnings, "warning"),
-        (errors, 0) => counted(errors, "error"),
-        (errors, warnings) => format!("{}, {}", counted(errors, "error"), counted(warnings, "warning")),
-    }
+    let counts = [(count(Severity::Error) + further_errors, "error"), (count(Severity::Warning), "warning")];
+    let found = counts.into_iter().filter(|(count, _)| *count > 0).map(|(count, noun)| counted(count, noun));
+    let found: Vec<String> = found.collect();
+    if found.is_empty() { "fine".to_owned() } else { found.join(", ") }
 }
 
 /// "PhySg: 6 training views of 800×600, 2 test views of 640×480 to 4000×3000".
@@ -56,30 +54,28 @@ fn data(survey: &Survey) -> String {
 
 fn masks(looks: &[ViewLook]) -> String {
     let origins = [(MaskOrigin::File, "files"), (MaskOrigin::Alpha, "alpha"), (MaskOrigin::Nowhere, "none")];
-    let of = origins.map(|(origin, name)| {
+    let of = origins.into_iter().filter_map(|(origin, name)| {
         let count = looks.iter().filter(|look| look.mask_source == origin).count();
-        if count > 0 { format!("{name} of {}", counted(count, "view")) } else { String::new() }
+        (count > 0).then(|| format!("{name} of {}", counted(count, "view")))
     });
-    let of: Vec<String> = of.into_iter().filter(|text| !text.is_empty()).collect();
+    let of = of.collect::<Vec<_>>().join(", ");
     let masks = || looks.iter().filter_map(|look| Some((look, look.mask.as_ref()?)));
     let mut coverage: Vec<f32> = masks().map(|(_, mask)| 100.0 * mask.coverage).collect();
-    let Some(middle) = median(&mut coverage) else { return of.join(", ") };
+    let Some(middle) = median(&mut coverage) else { return of };
     let [least, most] = [0.0, 1.0].map(|share| quantile(&mut coverage, share).unwrap_or(middle));
-    let cut = masks().filter(|(look, mask)| mask.is_cut(&look.camera)).count();
+    let cut = counted(masks().filter(|(look, mask)| mask.is_cut(&look.camera)).count(), "view");
     format!(
-        "{}; the object covers {least:.1} to {most:.1} % of the frame, median {middle:.1} %; the frame cuts it in {}",
-        of.join(", "),
-        counted(cut, "view")
+        "{of}; the object covers {least:.1} to {most:.1} % of the frame, median {middle:.1} %; the frame cuts it in {cut}"
     )
 }
 
 fn exposure(looks: &[ViewLook]) -> Option<String> {
     let lights = || looks.iter().filter_map(|look| Some((&look.name, look.light?)));
-    let mut medians: Vec<f32> =
-        lights().map(|(_, light)| light.median).filter(|median| *median > 0.0).collect();
+    let medians = lights().map(|(_, light)| light.median).filter(|median| *median > 0.0);
+    let mut medians: Vec<f32> = medians.collect();
     let middle = median(&mut medians)?;
-    let [low, high] =
-        [0.0, 1.0].map(|share| (quantile(&mut medians, share).unwrap_or(middle) / middle).log2());
+    let mut stops = |share: f32| (quantile(&mut medians, share).unwrap_or(middle) / middle).log2();
+    let (low, high) = (stops(0.0), stops(1.0));
     let clipped = 100.0 * lights().map(|(_, light)| light.clipped).sum::<f32>() / lights().count() as f32;
     let (name, most) = lights().max_by(|(a, x), (b, y)| x.clipped.total_cmp(&y.clipped).then(b.cmp(a)))?;
     let share = 100.0 * most.clipped;

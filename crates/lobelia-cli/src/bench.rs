@@ -6,44 +6,33 @@
 use super::terminal::print;
 use clap::Args;
 use lobelia::codec::file::{check_writable, write_bytes};
-use lobelia::sg::accurate::Quality;
-use lobelia::sg::brdf::Ndf;
-use lobelia::sg::lanes::level_name;
 use lobelia::sg::shading::{
     ChunkSums, ClosedForm, Cpu, Layers, Lighting, PairLoops, PointAdjoint, RadianceAdjoint, RadianceColumns,
     ShadeCall, ShadePoint,
 };
-use lobelia::sg::workload::Workload;
 use lobelia::shade::device::ShadingDevice;
 use lobelia::{Error, Result};
+use lobelia::{sg::accurate::Quality, sg::brdf::Ndf, sg::lanes::level_name, sg::workload::Workload};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// The long help.
-pub const BENCH_LONG: &str = "\
-Measures how long shading takes per point and light lobe on this machine, in about a minute.
+const EXAMPLES: &str = include_str!("help/bench.txt").trim_ascii_end();
 
-Needs no data: points look in all directions, lobes lie evenly around them with sharpness 20 to some 300. Two
-kernels are timed: `forward` computes radiance, as rendering does; `forward+adjoint` is what a step of a fit adds,
-radiance again and the gradient with respect to light, material, albedo and normal. A number is the time of a whole
-batch over points × lobes, with all threads together: the least of many repetitions, since other programs can only
-make a repetition longer. Multiply by the pixels of a batch and by the lobes to know what a step costs.
-
-`simd` is the instruction set the kernels chose; `skipped` is the part of the pairs that a mode leaves out.";
-
-/// Its end.
-pub const BENCH_EXAMPLES: &str = "\
-Examples:
-  lobelia bench
-      8, 32, 128 and 512 lobes, three roughnesses, one thread and all threads.
-  lobelia bench --points 4096 --lobes 128 --threads 2 --seconds 5
-      One batch of a fit, quickly.
-  lobelia bench --json before.json
-      Rows to compare with: mode, points, lobes, threads, roughness, forward_ns, forward_adjoint_ns, …";
-
-/// `lobelia bench`.
+/// Measures how long shading takes per point and light lobe on this machine, in about a minute.
+///
+/// Needs no data: points look in all directions, lobes lie evenly around them with sharpness 20 to some 300. Two
+/// kernels are timed: `forward` computes radiance, as rendering does; `forward+adjoint` is what a step of a fit adds,
+/// radiance again and the gradient with respect to light, material, albedo and normal. A number is the time of a whole
+/// batch over points × lobes, with all threads together: the least of many repetitions, since other programs can only
+/// make a repetition longer. Multiply by the pixels of a batch and by the lobes to know what a step costs.
+///
+/// `simd` is the instruction set the kernels chose; `skipped` is the part of the pairs that a mode leaves out.
 #[derive(Args, Debug)]
+#[command(
+    about = "Measure how long shading takes per point and light lobe on this machine, in about a minute",
+    verbatim_doc_comment, after_long_help = EXAMPLES
+)]
 pub struct BenchArgs {
     /// Points in a batch, 1 to 16777216
     #[arg(long, value_name = "N", default_value_t = 16_384, value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
@@ -66,7 +55,7 @@ pub struct BenchArgs {
     json: Option<PathBuf>,
 }
 
-fn seconds(text: &str) -> std::result::Result<f64, String> {
+fn seconds(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(seconds) if (0.0..=86_400.0).contains(&seconds) => Ok(seconds),
         _ => Err("expected a number of seconds from 0 to 86400".to_owned()),
@@ -76,12 +65,12 @@ fn seconds(text: &str) -> std::result::Result<f64, String> {
 /// A mode: its name, its closed form, the NDF of its material.
 type Mode = (&'static str, ClosedForm, Ndf);
 
-/// Shading modes that are measured, with the NDF of their material. A further mode is one more line.
-const MODES: [Mode; 4] = [
-    ("published", ClosedForm::Published, Ndf::Sg),
-    ("accurate", ClosedForm::Accurate(Quality::Default), Ndf::Sg),
-    ("accurate-high", ClosedForm::Accurate(Quality::High), Ndf::Sg),
-    ("accurate-ggx", ClosedForm::Accurate(Quality::Default), Ndf::Ggx),
+/// Shading modes that are measured, each with its name on a graphics adapter. A further mode is one more line.
+const MODES: [(Mode, &str); 4] = [
+    (("published", ClosedForm::Published, Ndf::Sg), "published-gpu"),
+    (("accurate", ClosedForm::Accurate(Quality::Default), Ndf::Sg), "accurate-gpu"),
+    (("accurate-high", ClosedForm::Accurate(Quality::High), Ndf::Sg), "high-gpu"),
+    (("accurate-ggx", ClosedForm::Accurate(Quality::Default), Ndf::Ggx), "ggx-gpu"),
 ];
 
 /// Roughness of the specular lobe: glossy, between, rough.
@@ -110,109 +99,70 @@ struct BenchRow {
 
 /// Runs the command.
 pub fn run(args: &BenchArgs) -> Result<()> {
-    let (seconds, header) = (args.seconds, BenchRow::HEADER);
-    let mut head =
-        format!("Nanoseconds per point × lobe, the least of all repetitions in {seconds} s.\n{header}\n");
+    let mut head = format!(
+        "Nanoseconds per point × lobe, the least of all repetitions in {} s.\nmode          points  lobes  roughness  threads  forward ns  forward+adjoint ns  bytes/point  simd\n",
+        args.seconds
+    );
     bench(args, |row| print(&format!("{}{}\n", std::mem::take(&mut head), row.line()))).map(drop)
 }
 
-/// Times of a mode's kernels.
-struct Timing {
-    /// Least time of the forward and of the adjoint kernel, for the whole batch.
-    least: [Duration; 2],
-    repetitions: [usize; 2],
-}
-
 /// Measures every combination; `on_row` is told of each row as soon as it is there.
-///
-/// # Errors
-/// [`Error::Usage`] if the JSON file cannot be one (before anything is measured); [`Error::Run`] if threads cannot be
-/// started; [`Error::Io`]; whatever `on_row` returns.
-fn bench(args: &BenchArgs, mut on_row: impl FnMut(&BenchRow) -> Result<()> + Send) -> Result<Vec<BenchRow>> {
+fn bench(args: &BenchArgs, mut on_row: impl FnMut(&BenchRow) -> Result<()>) -> Result<Vec<BenchRow>> {
     args.json.as_deref().map_or(Ok(()), check_file)?;
     let gpu = args.gpu.as_deref().map(ShadingDevice::open).transpose()?;
-    let names = ["published-gpu", "accurate-gpu", "high-gpu", "ggx-gpu"];
-    let has = |(_, (_, form, ndf)): &(&str, Mode)| {
-        gpu.as_ref().is_some_and(|device| device.0.supports(*form, *ndf))
-    };
-    let on_gpu: Vec<(&str, Mode)> = names.into_iter().zip(MODES).filter(has).collect();
     let threads = match (args.threads, std::thread::available_parallelism().map_or(1, usize::from)) {
         (Some(threads), _) => vec![usize::from(threads)],
         (None, 1) => vec![1],
         (None, all) => vec![1, all],
     };
-    let count = (MODES.len() * threads.len() + on_gpu.len()) * args.lobes.len() * ROUGHNESS.len();
+    // Device, instruction set, threads, and what is measured.
+    let mut parts: Vec<(&dyn PairLoops, &str, usize, Mode)> = Vec::new();
+    for threads in threads {
+        parts.extend(MODES.map(|(mode, _)| (&Cpu as _, level_name(), threads, mode)));
+    }
+    if let Some(ShadingDevice(gpu)) = &gpu {
+        let on_gpu = MODES.into_iter().filter(|((_, form, ndf), _)| gpu.supports(*form, *ndf));
+        parts.extend(on_gpu.map(|((_, form, ndf), name)| (&**gpu, "gpu", 1, (name, form, ndf))));
+    }
+    let count = parts.len() * args.lobes.len() * ROUGHNESS.len();
     let budget = Duration::from_secs_f64(args.seconds / (2 * count) as f64);
     let mut rows = Vec::with_capacity(count);
-    for threads in threads {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .map_err(|error| Error::run("starting threads", error.to_string()))?;
-        for mode in MODES {
-            let mut on_row = |timing: Timing, work: &Workload| {
-                rows.push(BenchRow::new(mode.0, threads, work, &timing, level_name()));
-                on_row(&rows[rows.len() - 1])
-            };
-            pool.install(|| measure(&Cpu, mode, args, budget, &mut on_row))?;
+    for (device, simd, threads, (mode, form, ndf)) in parts {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        let pool = pool.map_err(|error| Error::run("starting threads", error.to_string()))?;
+        for lobes in args.lobes.iter().map(|lobes| *lobes as usize) {
+            for roughness in ROUGHNESS {
+                let points = args.points as usize;
+                let mut work = Workload::new(points, lobes, roughness);
+                work.specular.ndf = ndf;
+                let timed = pool.install(|| time_kernels(device, form, &mut work, budget))?;
+                let [forward_ns, forward_adjoint_ns] =
+                    timed.map(|(least, _)| least.as_secs_f64() * 1e9 / (points * lobes) as f64);
+                rows.push(BenchRow {
+                    mode,
+                    points,
+                    lobes,
+                    threads,
+                    roughness,
+                    forward_ns,
+                    forward_adjoint_ns,
+                    repetitions: timed.map(|(_, repetitions)| repetitions),
+                    bytes_per_point: size_of::<(ShadePoint, Layers, RadianceAdjoint, PointAdjoint)>(),
+                    simd,
+                });
+                on_row(&rows[rows.len() - 1])?;
+            }
         }
     }
-    for (device, (name, mode)) in on_gpu.into_iter().filter_map(|mode| Some((gpu.as_ref()?, mode))) {
-        measure(&*device.0, mode, args, budget, &mut |timing, work| {
-            rows.push(BenchRow::new(name, 1, work, &timing, "gpu"));
-            on_row(&rows[rows.len() - 1])
-        })?;
-    }
     if let Some(path) = &args.json {
-        let mut text = serde_json::to_string_pretty(&rows)
-            .map_err(|error| Error::run("writing the measurements", error.to_string()))?;
-        text.push('\n');
+        let text = serde_json::to_string_pretty(&rows);
+        let text = text.map_err(|error| Error::run("writing the measurements", error.to_string()))? + "\n";
         write_bytes(path, text.as_bytes())?;
     }
     Ok(rows)
 }
 
-/// Measures a mode with all numbers of lobes and roughnesses.
-fn measure(
-    loops: &dyn PairLoops,
-    (_, form, ndf): Mode,
-    args: &BenchArgs,
-    budget: Duration,
-    on_row: &mut (dyn FnMut(Timing, &Workload) -> Result<()> + Send),
-) -> Result<()> {
-    for &lobes in &args.lobes {
-        for roughness in ROUGHNESS {
-            let mut work = Workload::new(args.points as usize, lobes as usize, roughness);
-            work.specular.ndf = ndf;
-            let timing = time_kernels(loops, form, &mut work, budget)?;
-            on_row(timing, &work)?;
-        }
-    }
-    Ok(())
-}
-
 impl BenchRow {
-    /// The head of the table that [`Self::line`] fills.
-    const HEADER: &'static str = "\
-mode          points  lobes  roughness  threads  forward ns  forward+adjoint ns  bytes/point  simd";
-
-    fn new(mode: &'static str, threads: usize, work: &Workload, timing: &Timing, simd: &'static str) -> Self {
-        let (points, lobes) = (work.points.len(), work.lobes.len());
-        let ns = |time: Duration| time.as_secs_f64() * 1e9 / (points * lobes) as f64;
-        Self {
-            mode,
-            points,
-            lobes,
-            threads,
-            roughness: work.specular.roughness,
-            forward_ns: ns(timing.least[0]),
-            forward_adjoint_ns: ns(timing.least[1]),
-            repetitions: timing.repetitions,
-            bytes_per_point: bytes_per_point(),
-            simd,
-        }
-    }
-
     /// As a line of the table.
     fn line(&self) -> String {
         format!(
@@ -230,10 +180,6 @@ mode          points  lobes  roughness  threads  forward ns  forward+adjoint ns 
     }
 }
 
-fn bytes_per_point() -> usize {
-    size_of::<ShadePoint>() + size_of::<Layers>() + size_of::<RadianceAdjoint>() + size_of::<PointAdjoint>()
-}
-
 /// Refuses a file that could not be written after a minute of measuring.
 fn check_file(path: &Path) -> Result<()> {
     if path.is_dir() || path.file_name().is_none() {
@@ -243,12 +189,13 @@ fn check_file(path: &Path) -> Result<()> {
     check_writable(path.parent().unwrap_or(Path::new("")))
 }
 
+/// Least time of the forward and of the adjoint kernel for the whole batch, and how often each was run.
 fn time_kernels(
     loops: &dyn PairLoops,
     form: ClosedForm,
     work: &mut Workload,
     budget: Duration,
-) -> Result<Timing> {
+) -> Result<[(Duration, usize); 2]> {
     let Workload { points, specular, lobes, .. } = &*work;
     let (points, lobes, specular) = (points.clone(), lobes.clone(), *specular);
     let call = ShadeCall { form, points: &points, specular: &specular, lighting: Lighting::from(&lobes) };
@@ -260,14 +207,11 @@ fn time_kernels(
         sums.total_into(&mut work.gradient);
         Ok(())
     })?;
-    Ok(Timing { least: [forward.0, adjoint.0], repetitions: [forward.1, adjoint.1] })
+    Ok([forward, adjoint])
 }
 
 /// Runs `kernel` until `budget` is spent, and once more than once at least: the first run finds cold caches.
-fn least_time(
-    budget: Duration,
-    mut kernel: impl FnMut() -> std::result::Result<(), String>,
-) -> Result<(Duration, usize)> {
+fn least_time(budget: Duration, mut kernel: impl FnMut() -> Result<(), String>) -> Result<(Duration, usize)> {
     let started = Instant::now();
     let (mut least, mut repetitions) = (Duration::MAX, 0);
     while repetitions < 2 || started.elapsed() < budget {

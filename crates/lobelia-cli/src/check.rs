@@ -3,25 +3,21 @@
 use super::start::{SceneArgs, ThreadArgs, load_options, start_threads};
 use super::terminal::print;
 use clap::Args;
-use lobelia::codec::file::{FileUse, check_writable};
 use lobelia::pass::memory::{usual_budget, within};
 use lobelia::pass::preflight::{check_outputs, check_sizes};
-use lobelia::pass::progress::{Bar, Progress, Silent};
+use lobelia::pass::progress::{RecordedMessages, Silent};
 use lobelia::pass::{looks, rehearse};
 use lobelia::scene::{LoadOptions, LoadedScene, Pass, Scene, Surface, Views, load, unknown_parts};
 use lobelia::survey::estimate::{Estimate, estimate};
 use lobelia::survey::open::{OpenScene, survey};
-use lobelia::survey::{Severity, Survey, table};
-use lobelia::view::ViewRecord;
-use lobelia::{Error, Result};
-use std::cell::RefCell;
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use lobelia::survey::{Finding, Severity, Survey, ViewLook, table};
+use lobelia::{Error, Result, codec::file::FileUse, codec::file::check_writable, view::ViewRecord};
+use std::{borrow::Cow, path::Path, path::PathBuf};
 
 /// The survey.
 const JSON: &str = "survey.json";
 
-/// `lobelia check`.
+/// Read a scene file, look at its photographs and masks, and say what it would do and what is wrong
 #[derive(Args, Debug)]
 pub struct CheckArgs {
     #[command(flatten)]
@@ -47,74 +43,42 @@ pub fn run(args: &CheckArgs) -> Result<()> {
     }
     start_threads(args.threads)?;
     let surveyed = if has_photographs { survey(&loaded.scene)? } else { None };
-    let (surveyed, views) = surveyed.map_or((None, Vec::new()), |(survey, views)| (Some(survey), views));
-    let budget = args.memory.or_else(usual_budget);
-    let outcome = Outcome::of(&loaded, surveyed.as_ref(), views, budget);
-    print(&summary(&loaded, surveyed.as_ref(), &outcome))?;
+    let (surveyed, views) = surveyed.unzip();
+    let (scene, views) = (&loaded.scene, views.unwrap_or_default());
+    // Memory and time of the run, if the views are known.
+    let known = surveyed.is_some() || !matches!(scene.views, Views::Dataset(_));
+    let looks = known.then(|| looks(scene, surveyed.as_ref())).transpose();
+    let needs = looks.as_ref().ok().and_then(Option::as_ref);
+    let needs = needs.map(|looks| estimate(looks, scene, rayon::current_num_threads()));
+    let found = surveyed.as_ref().and_then(|survey| survey.findings_of(Severity::Error).next());
+    let (notes, further) = match found.is_some() || !loaded.unseen.is_empty() {
+        true => (Vec::new(), None),
+        false => rehearsed(scene, looks, views, args.memory.or_else(usual_budget)),
+    };
+    print(&summary(&loaded, surveyed.as_ref(), &notes, needs.as_ref(), further.is_some()))?;
     if let (Some(out), Some(survey)) = (&args.out, &surveyed) {
         std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
         let json = out.join(JSON);
-        survey.write_json(&json, &outcome.needs.clone().unwrap_or_default())?;
+        survey.write_json(&json, &needs.unwrap_or_default())?;
         print(&format!("written: {}\n", json.display()))?;
     }
-    outcome.error.map_or(Ok(()), Err)
+    found.map(Finding::to_error).or(further).map_or(Ok(()), Err)
 }
 
-/// Outcome of a run's start, before its first pass.
-struct Outcome {
-    notes: Vec<String>,
-    /// Memory and time of the run; `None` if the views are not known.
-    needs: Option<Estimate>,
-    /// The error that it ends with.
-    error: Option<Error>,
-    /// Whether that is none of the survey's.
-    is_further: bool,
-}
-
-impl Outcome {
-    /// `surveyed` and `views` are of the scene's data set, `budget` is the memory that it may take.
-    fn of(
-        loaded: &LoadedScene,
-        surveyed: Option<&Survey>,
-        views: Vec<ViewRecord>,
-        budget: Option<u64>,
-    ) -> Self {
-        let scene = &loaded.scene;
-        let known = surveyed.is_some() || !matches!(scene.views, Views::Dataset(_));
-        let looks = known.then(|| looks(scene, surveyed)).transpose();
-        let needs = looks.as_ref().ok().and_then(Option::as_ref);
-        let needs = needs.map(|looks| estimate(looks, scene, rayon::current_num_threads()));
-        let ends = |notes, error: Option<Error>| Self { notes, needs, is_further: false, error };
-        if let Some(error) = surveyed.and_then(|survey| survey.findings_of(Severity::Error).next()) {
-            return ends(Vec::new(), Some(error.to_error()));
-        }
-        if !loaded.unseen.is_empty() {
-            return ends(Vec::new(), None);
-        }
-        let notes = Notes::default();
-        let keeps = looks.and_then(|looks| match looks {
-            Some(looks) => within(scene, &looks, budget, &notes).map(drop),
-            None => Ok(()),
-        });
-        let error = keeps.and_then(|()| rehearse(scene, views, &notes)).err();
-        Self { is_further: error.is_some(), ..ends(notes.0.into_inner(), error) }
-    }
-}
-
-/// Keeps what a rehearsal notes, for the summary.
-#[derive(Default)]
-struct Notes(RefCell<Vec<String>>);
-
-impl Progress for Notes {
-    fn note(&self, text: &str) {
-        self.0.borrow_mut().push(text.to_owned());
-    }
-
-    fn print(&self, _: &str) {}
-
-    fn bar(&self, _: &str, _: u64) -> Box<dyn Bar> {
-        Box::new(Silent)
-    }
+/// What a run's start says before its first pass, and the error that it ends with, which is none of the survey's.
+fn rehearsed(
+    scene: &Scene,
+    looks: Result<Option<Cow<[ViewLook]>>>,
+    views: Vec<ViewRecord>,
+    budget: Option<u64>,
+) -> (Vec<String>, Option<Error>) {
+    let notes = RecordedMessages::new(&Silent);
+    let keeps = looks.and_then(|looks| match looks {
+        Some(looks) => within(scene, &looks, budget, &notes).map(drop),
+        None => Ok(()),
+    });
+    let error = keeps.and_then(|()| rehearse(scene, views, &notes)).err();
+    (notes.take(), error)
 }
 
 /// Refuses an `--out` that would be empty, cannot be written, or would replace what the scene reads: before photographs are read.
@@ -132,70 +96,60 @@ fn check_out(out: &Path, loaded: &LoadedScene, has_photographs: bool) -> Result<
 /// Whether nothing that a survey reads is below a `$DATA` that stands for nothing.
 fn data_is_there(loaded: &LoadedScene) -> bool {
     let is_there = |path: &Path| !loaded.unseen.iter().any(|unseen| unseen == path);
-    let mesh = match &loaded.scene.surface {
-        Surface::Mesh { path, .. } => is_there(path),
-        _ => true,
-    };
-    mesh && matches!(&loaded.scene.views, Views::Dataset(dataset) if is_there(&dataset.path))
+    let lacks_mesh = matches!(&loaded.scene.surface, Surface::Mesh { path, .. } if !is_there(path));
+    !lacks_mesh && matches!(&loaded.scene.views, Views::Dataset(dataset) if is_there(&dataset.path))
 }
 
 /// Returns the text that `check` prints.
-fn summary(loaded: &LoadedScene, surveyed: Option<&Survey>, outcome: &Outcome) -> String {
+fn summary(
+    loaded: &LoadedScene,
+    surveyed: Option<&Survey>,
+    notes: &[String],
+    needs: Option<&Estimate>,
+    has_further_error: bool,
+) -> String {
     let scene = &loaded.scene;
     let unknown = unknown_parts(scene);
     let unknown = if unknown.is_empty() { "nothing".to_owned() } else { unknown.join(", ") };
+    // The debug text of a pass begins with the word of the scene file, as in `Fit(…`.
+    let kind = |pass: &Pass| format!("{pass:?}").split('(').next().unwrap_or_default().to_owned();
     let passes: Vec<String> =
         scene.passes.iter().map(|pass| format!("{} ({})", pass.name(), kind(pass))).collect();
-    let further = usize::from(outcome.is_further);
     let verdict = match loaded.unseen.is_empty() {
-        true => table::verdict(surveyed, further),
+        true => table::verdict(surveyed, usize::from(has_further_error)),
         false => "the scene file is fine; its data was not looked at: say --data DIR".to_owned(),
     };
-    let mut text = format!("{}: {verdict}\n", loaded.path.display());
-    let mut line = |label: &str, value: &str| writeln!(text, "  {label:<8} {value}");
-    // Writing to a `String` cannot fail.
-    let _ = line("surface", &surface(scene));
-    let _ = line("views", &views(scene));
-    let _ = line("unknown", &unknown);
-    let _ = line("passes", &format!("{}: {}", passes.len(), passes.join(", ")));
-    let _ = line("files", &files(loaded));
-    for file in loaded.files.iter().chain(&loaded.unseen) {
-        let _ = line("", &file.display().to_string());
-    }
-    for (label, value) in surveyed.map(table::rows).unwrap_or_default() {
-        let _ = line(label, &value);
-    }
-    if let Some(needs) = &outcome.needs {
-        let _ = line("needs", &needs.words());
-    }
-    for note in surveyed.iter().flat_map(|survey| &survey.notes).chain(&outcome.notes) {
-        let _ = line("note", note);
-    }
-    if let Some(survey) = surveyed {
-        text += &table::findings(survey);
-    }
-    text
-}
-
-fn files(loaded: &LoadedScene) -> String {
     let found = loaded.files.len();
-    match loaded.unseen.len() {
+    let files = match loaded.unseen.len() {
         0 => format!("{found} named, all found"),
         unseen => format!("{found} found, {unseen} below $DATA not looked for (say --data DIR to look)"),
-    }
+    };
+    let mut rows = vec![
+        ("surface", surface(scene)),
+        ("views", views(scene)),
+        ("unknown", unknown),
+        ("passes", format!("{}: {}", passes.len(), passes.join(", "))),
+        ("files", files),
+    ];
+    let named = loaded.files.iter().chain(&loaded.unseen);
+    rows.extend(named.map(|file| ("", file.display().to_string())));
+    rows.extend(surveyed.map(table::rows).unwrap_or_default());
+    rows.extend(needs.map(|needs| ("needs", needs.words())));
+    let notes = surveyed.iter().flat_map(|survey| &survey.notes).chain(notes);
+    rows.extend(notes.map(|note| ("note", note.clone())));
+    let rows: String = rows.into_iter().map(|(label, text)| format!("  {label:<8} {text}\n")).collect();
+    let findings = surveyed.map(table::findings).unwrap_or_default();
+    format!("{}: {verdict}\n{rows}{findings}", loaded.path.display())
 }
 
 fn surface(scene: &Scene) -> String {
-    match &scene.surface {
-        Surface::Mesh { path, texture_size, .. } => format!("{}, texture {texture_size}²", path.display()),
-        Surface::Unknown { cells, texture_size } => {
-            format!("unknown, on a grid of {cells}³, texture {texture_size}²")
-        }
-        Surface::Sphere { radius, texture_size, .. } => {
-            format!("sphere of radius {radius}, texture {texture_size}²")
-        }
-        Surface::Box { size, texture_size, .. } => format!("box {size}, texture {texture_size}²"),
-    }
+    let (shape, side) = match &scene.surface {
+        Surface::Mesh { path, texture_size, .. } => (path.display().to_string(), texture_size),
+        Surface::Unknown { cells, texture_size } => (format!("unknown, on a grid of {cells}³"), texture_size),
+        Surface::Sphere { radius, texture_size, .. } => (format!("sphere of radius {radius}"), texture_size),
+        Surface::Box { size, texture_size, .. } => (format!("box {size}"), texture_size),
+    };
+    format!("{shape}, texture {side}²")
 }
 
 fn views(scene: &Scene) -> String {
@@ -205,19 +159,5 @@ fn views(scene: &Scene) -> String {
         Views::Photographed(made) => {
             format!("{} to fit and {} to test, photographed here", made.cameras.count, made.cameras.test)
         }
-    }
-}
-
-fn kind(pass: &Pass) -> &'static str {
-    match pass {
-        Pass::Fit(_) => "Fit",
-        Pass::Shape(_) => "Shape",
-        Pass::Render(_) => "Render",
-        Pass::Edit(_) => "Edit",
-        Pass::Relight(_) => "Relight",
-        Pass::Evaluate(_) => "Evaluate",
-        Pass::Save(_) => "Save",
-        Pass::Export(_) => "Export",
-        Pass::View(_) => "View",
     }
 }

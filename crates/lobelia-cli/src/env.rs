@@ -6,63 +6,30 @@ use clap::{Args, Subcommand};
 use glam::{DVec3, EulerRot, Quat, Vec3};
 use image::{Rgb, RgbImage, imageops};
 use lobelia::codec::file::{check_writable, is_there};
-use lobelia::codec::npy::NpyConvention;
 use lobelia::codec::png_file::{software_of, write_rgb8, write_rgb8_by};
-use lobelia::error::stop::is_stopping;
-use lobelia::light::convention::MapConvention;
-use lobelia::light::map_fit::{MapFit, MapFitProgress, MapFitReport, Sun, fit_map_with, target_of};
+use lobelia::light::convention::MapConvention as Map;
+use lobelia::light::map_fit::{MapFit, MapFitProgress, MapFitReport, fit_map_with, target_of};
 use lobelia::light::{EnvironmentMap, LightLobe, lobes_power, lobes_radiance, render_lobes};
-use lobelia::pass::progress::Progress;
 use lobelia::report::sheet::{draw_text, line_height};
 use lobelia::report::tone::{Tone, srgb8};
 use lobelia::sg::color::luminance;
 use lobelia::shade::frame::check_memory;
 use lobelia::spawn::light::{LightConventions, LightFile, check_lit, files_of, read_light, read_map};
-use lobelia::{Error, Result};
-use std::f64::consts::PI;
-use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
-use std::time::Instant;
+use lobelia::{
+    Error, Result, codec::npy::NpyConvention as Npy, error::stop::is_stopping, pass::progress::Progress,
+};
+use std::{f64::consts::PI, fmt::Write as _, path::Path, path::PathBuf, time::Instant};
 
-const ENV_EXAMPLES: &str = "\
-Examples:
-  lobelia env fit sky.exr --lobes 100 --out sky.ron
-      100 spherical Gaussians for a map, and sky.png: the map above, the lobes below. In a scene, put the text of
-      sky.ron into light: Fixed(…), or say light: Fixed(Map(path: \"sky.exr\", lobes: 100)) to the same effect.
-  lobelia env fit sky.exr --lobes 16,32,64,128,256
-      How good would how many be? A table, nothing written.
-  lobelia env fit studio.hdr --convention blender --white --upper-hemisphere --out studio.npy
-      A map made for Blender's world; gray light from above only; as [M, 7] array.
-  lobelia env render sky.ron --size 512x256 back.exr
-      The lobes as a map again; a .png instead gives a picture to look at.
-  lobelia env rotate sky.ron --euler 0,90,0 --out turned.ron
-      What came from +Z now comes from +X.
-  lobelia env info sky.ron
-      Mean, power, peak, and the lobes by power.
-
-LIGHT is a .ron light (what a scene has inside light: Fixed(…)), .npy lobes of shape [M, 7], or an OpenEXR or
-Radiance HDR latitude-longitude map. Maps: +Y is up, the left edge looks along −Z, a quarter in is +X, the middle
-is +Z; --convention says that a map faces as in another program.";
-
-/// `lobelia env`.
-#[derive(Args, Debug)]
-#[command(after_long_help = ENV_EXAMPLES, arg_required_else_help = true)]
-pub struct EnvArgs {
-    #[command(subcommand)]
-    command: EnvCommand,
-}
+/// The end of the help.
+pub const EXAMPLES: &str = include_str!("help/env.txt").trim_ascii_end();
 
 /// Command for a light.
 #[derive(Debug, Subcommand)]
 pub enum EnvCommand {
-    /// Fit spherical Gaussians to a map
-    #[command(after_long_help = ENV_EXAMPLES)]
+    #[command(after_long_help = EXAMPLES)]
     Fit(FitArgs),
-    /// Draw a light as a latitude-longitude map
     Render(RenderArgs),
-    /// Turn a light
     Rotate(RotateArgs),
-    /// Say what is in a light: mean, power, peak, lobes
     Info(InfoArgs),
 }
 
@@ -71,43 +38,31 @@ pub enum EnvCommand {
 pub struct ConventionArgs {
     /// Which program's way EXR and HDR maps face, read or written
     #[arg(long, value_name = "PROGRAM", default_value = "lobelia", value_parser = choices(MAPS))]
-    convention: MapConvention,
+    convention: Map,
     /// Which way the axes of .npy lobes point, read or written
     #[arg(long, value_name = "WAY", default_value = "lobelia", value_parser = choices(NPYS))]
-    npy_convention: NpyConvention,
+    npy_convention: Npy,
 }
 
-const MAPS: Choices<MapConvention> = &[
-    ("lobelia", MapConvention::Lobelia, "+Y up, middle +Z, a quarter in +X"),
-    ("mitsuba", MapConvention::Mitsuba, "Mitsuba 3: the same"),
-    (
-        "three-js",
-        MapConvention::ThreeJs,
-        "three.js and glTF viewers built on it: +Y up, middle +X, a quarter in −Z",
-    ),
-    ("blender", MapConvention::Blender, "Blender's own world: +Z up, middle +X, a quarter in +Y"),
-    (
-        "blender-y-up",
-        MapConvention::BlenderYUp,
-        "Blender's world for an object exported with +Y up: as three-js",
-    ),
+const MAPS: Choices<Map> = &[
+    ("lobelia", Map::Lobelia, "+Y up, middle +Z, a quarter in +X"),
+    ("mitsuba", Map::Mitsuba, "Mitsuba 3: the same"),
+    ("three-js", Map::ThreeJs, "three.js and glTF viewers built on it: +Y up, middle +X, a quarter in −Z"),
+    ("blender", Map::Blender, "Blender's own world: +Z up, middle +X, a quarter in +Y"),
+    ("blender-y-up", Map::BlenderYUp, "Blender's world for an object exported with +Y up: as three-js"),
 ];
-const NPYS: Choices<NpyConvention> = &[
-    ("lobelia", NpyConvention::Lobelia, "World directions"),
-    (
-        "physg-fit",
-        NpyConvention::PhySgFit,
-        "PhySG's published envmap*_sg_fit files: (x, y, z) stands for (z, y, −x)",
-    ),
+const NPYS: Choices<Npy> = &[
+    ("lobelia", Npy::Lobelia, "World directions"),
+    ("physg-fit", Npy::PhySgFit, "PhySG's published envmap*_sg_fit files: (x, y, z) stands for (z, y, −x)"),
 ];
 
 impl From<ConventionArgs> for LightConventions {
-    fn from(args: ConventionArgs) -> Self {
-        Self { npy: args.npy_convention, map: args.convention }
+    fn from(ConventionArgs { convention: map, npy_convention: npy }: ConventionArgs) -> Self {
+        Self { npy, map }
     }
 }
 
-/// `lobelia env fit`.
+/// Fit spherical Gaussians to a map
 #[derive(Args, Debug)]
 pub struct FitArgs {
     /// An OpenEXR or Radiance HDR latitude-longitude map
@@ -116,8 +71,7 @@ pub struct FitArgs {
     #[arg(long, value_name = "N[,N…]", value_delimiter = ',', default_value = "128",
         value_parser = clap::value_parser!(u16).range(1..=512))]
     lobes: Vec<u16>,
-    /// Write the lobes here (.ron or .npy), and beside it a .png of the map and what the lobes make of it, unless another
-    /// picture is there
+    /// Write the lobes here (.ron or .npy), and beside it a .png of the map and what the lobes make of it, unless another picture is there
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Light from above only: the map below the horizon counts as black, no lobe's axis points below it
@@ -135,7 +89,7 @@ pub struct FitArgs {
     quiet: bool,
 }
 
-/// `lobelia env render`.
+/// Draw a light as a latitude-longitude map
 #[derive(Args, Debug)]
 pub struct RenderArgs {
     /// A .ron light, .npy lobes, or a map
@@ -149,7 +103,7 @@ pub struct RenderArgs {
     conventions: ConventionArgs,
 }
 
-/// `lobelia env rotate`.
+/// Turn a light
 #[derive(Args, Debug)]
 pub struct RotateArgs {
     /// A .ron light, .npy lobes, or a map
@@ -168,7 +122,7 @@ pub struct RotateArgs {
     conventions: ConventionArgs,
 }
 
-/// `lobelia env info`.
+/// Say what is in a light: mean, power, peak, lobes
 #[derive(Args, Debug)]
 pub struct InfoArgs {
     /// A .ron light, .npy lobes, or a map
@@ -180,24 +134,18 @@ pub struct InfoArgs {
     conventions: ConventionArgs,
 }
 
-fn size(text: &str) -> std::result::Result<(u32, u32), String> {
-    let parse = |side: &str| side.trim().parse::<u32>().ok().filter(|n| (1..=16_384).contains(n));
-    match text.split_once(['x', '×']) {
-        Some((width, height)) => parse(width).zip(parse(height)),
-        None => None,
-    }
-    .ok_or_else(|| "expected WIDTHxHEIGHT, each 1 to 16384, e.g. 512x256".to_owned())
+fn size(text: &str) -> Result<(u32, u32), String> {
+    let side = |side: &str| side.trim().parse::<u32>().ok().filter(|n| (1..=16_384).contains(n));
+    let sides = text.split_once(['x', '×']).and_then(|(width, height)| side(width).zip(side(height)));
+    sides.ok_or_else(|| "expected WIDTHxHEIGHT, each 1 to 16384, e.g. 512x256".to_owned())
 }
 
-fn numbers<const N: usize>(text: &str) -> std::result::Result<[f32; N], String> {
+fn numbers<const N: usize>(text: &str) -> Result<[f32; N], String> {
     let values: Option<Vec<f32>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
     let finite = values.filter(|values| values.iter().all(|v| v.is_finite()));
-    finite.and_then(|values| values.try_into().ok()).ok_or_else(|| {
-        format!(
-            "expected {N} numbers with commas between them, e.g. {}",
-            [1; N].map(|n| n.to_string()).join(",")
-        )
-    })
+    let example = ["1"; N].join(",");
+    let wrong = || format!("expected {N} numbers with commas between them, e.g. {example}");
+    finite.and_then(|values| values.try_into().ok()).ok_or_else(wrong)
 }
 
 /// Bytes of a rendered map's texel: radiance by rows, joined, and encoded.
@@ -217,51 +165,61 @@ const TEXT_SIZE: f32 = 2.0;
 const WIDEST_PICTURE: u32 = 1024;
 
 /// Runs `lobelia env`.
-pub fn run(args: &EnvArgs) -> Result<()> {
-    match &args.command {
+pub fn run(command: &EnvCommand) -> Result<()> {
+    match command {
         EnvCommand::Fit(args) => fit(args),
         EnvCommand::Render(args) => render(args),
         EnvCommand::Rotate(args) => rotate(args),
-        EnvCommand::Info(args) => {
-            let light = read(&args.light, args.conventions)?;
-            print(&info(&light, args.all))
-        }
+        EnvCommand::Info(args) => print(&info(&read(&args.light, args.conventions)?, args.all)),
     }
 }
 
 fn read(path: &Path, said: ConventionArgs) -> Result<LightFile> {
     let (light, notes) = read_light(path, said.into())?;
-    notes.iter().for_each(|note| Terminal::new(false).note(note));
+    notes.iter().for_each(|note| Terminal { quiet: false }.note(note));
     Ok(light)
 }
 
 fn fit(args: &FitArgs) -> Result<()> {
     refuse_before_work(args)?;
     start_threads(args.threads)?;
-    let progress = Terminal::new(args.quiet);
+    let progress = Terminal { quiet: args.quiet };
     let (map, notes) = read_map(&args.map, args.conventions.convention)?;
     notes.iter().for_each(|note| progress.note(note));
     let options = MapFit { upper_hemisphere: args.upper_hemisphere, white: args.white, ..MapFit::default() };
-    check_lit(&args.map, &target_of(&map, &options))?;
+    let target = target_of(&map, &options);
+    check_lit(&args.map, &target)?;
     print("lobes  mean squared error  relative rms  power kept r g b         seconds\n")?;
     for &count in &args.lobes {
         let started = Instant::now();
-        let report = fit_one(&map, count, &options, &progress)?;
+        let bar = progress.bar(&format!("{count} lobes"), 100);
+        let mut tell = |told: MapFitProgress| {
+            bar.set_position((100.0 * told.done) as u64);
+            bar.set_message(format!("error {:.5}", told.mse));
+        };
+        let report = fit_map_with(&map, usize::from(count), &options, &mut tell, &is_stopping);
+        bar.finish_and_clear();
+        let report = report?;
         let secs = started.elapsed().as_secs_f64();
-        if count == args.lobes[0] {
-            sun_notes(&report.suns).iter().for_each(|note| progress.note(note));
+        // One line for each sun that was fitted apart, with what its lobe does to the peak.
+        for sun in report.suns.iter().filter(|_| count == args.lobes[0]) {
+            progress.note(&format!(
+                "sun at {}: peak {:.3e} over {:.1e} sr, {:.1} % of the power; its lobe has sharpness {:.0} and peak {:.3e}",
+                direction(sun.lobe.axis),
+                sun.peak.max_element(),
+                sun.solid_angle,
+                100.0 * sun.power_share,
+                sun.lobe.sharpness,
+                sun.lobe.amplitude.max_element()
+            ));
         }
         let [r, g, b] = report.power_ratio;
-        let relative = (report.mse / report.mean_square).sqrt();
-        print(&format!(
-            "{count:>5}  {:>18.5}  {:>10.2} %  {r:.4} {g:.4} {b:.4}  {secs:>10.1}\n",
-            report.mse,
-            100.0 * relative
-        ))?;
+        let (mse, relative) = (report.mse, 100.0 * (report.mse / report.mean_square).sqrt());
+        print(&format!("{count:>5}  {mse:>18.5}  {relative:>10.2} %  {r:.4} {g:.4} {b:.4}  {secs:>10.1}\n"))?;
         if let Some(out) = &args.out {
             LightFile::Lobes(report.lobes.clone()).write(out, args.conventions.into())?;
             let shown = out.with_extension("png");
-            write_rgb8_by(&shown, &before_and_after(&target_of(&map, &options), &report), PICTURE_BY)?;
+            write_rgb8_by(&shown, &before_and_after(&target, &report), PICTURE_BY)?;
             print(&format!("Written: {} and {}\n", out.display(), shown.display()))?;
         }
     }
@@ -290,22 +248,6 @@ fn refuse_before_work(args: &FitArgs) -> Result<()> {
     check_writable(out.parent().unwrap_or(Path::new("")))
 }
 
-fn fit_one(
-    map: &EnvironmentMap,
-    count: u16,
-    options: &MapFit,
-    progress: &dyn Progress,
-) -> Result<MapFitReport> {
-    let bar = progress.bar(&format!("{count} lobes"), 100);
-    let mut tell = |told: MapFitProgress| {
-        bar.set_position((100.0 * told.done) as u64);
-        bar.set_message(format!("error {:.5}", told.mse));
-    };
-    let report = fit_map_with(map, usize::from(count), options, &mut tell, &is_stopping);
-    bar.finish_and_clear();
-    Ok(report?)
-}
-
 fn render(args: &RenderArgs) -> Result<()> {
     refuse_inputs(&files_of(&args.light), &[(&args.out, "the picture")])?;
     let (width, height) = args.size;
@@ -321,45 +263,20 @@ fn render(args: &RenderArgs) -> Result<()> {
 
 fn rotate(args: &RotateArgs) -> Result<()> {
     refuse_inputs(&files_of(&args.light), &[(&args.out, "--out")])?;
-    let turn = match (args.euler, args.quaternion) {
-        (Some(degrees), _) => {
-            let [x, y, z] = degrees.map(f32::to_radians);
-            Quat::from_euler(EulerRot::XYZEx, x, y, z)
-        }
-        (None, Some(parts)) => {
-            let given = Quat::from_array(parts);
-            if given.length() < 1e-6 {
-                let problem = "the quaternion is zero, which turns nothing";
-                return Err(Error::usage(problem, "The identity is 0,0,0,1."));
-            }
-            given.normalize()
-        }
-        (None, None) => Quat::IDENTITY,
-    };
+    let [x, y, z] = args.euler.unwrap_or_default().map(f32::to_radians);
+    let given = args.quaternion.map_or_else(|| Quat::from_euler(EulerRot::XYZEx, x, y, z), Quat::from_array);
+    if given.length() < 1e-6 {
+        let problem = "the quaternion is zero, which turns nothing";
+        return Err(Error::usage(problem, "The identity is 0,0,0,1."));
+    }
+    let turn = if args.quaternion.is_some() { given.normalize() } else { given };
     let light = read(&args.light, args.conventions)?;
     light.rotated(turn).write(&args.out, args.conventions.into())
 }
 
 // What is in a light, in words.
 
-/// One line for each sun that was fitted apart, with what its lobe does to the peak.
-fn sun_notes(suns: &[Sun]) -> Vec<String> {
-    let note = |sun: &Sun| {
-        format!(
-            "sun at {}: peak {:.3e} over {:.1e} sr, {:.1} % of the power; its lobe has sharpness {:.0} and peak {:.3e}",
-            direction(sun.lobe.axis),
-            sun.peak.max_element(),
-            sun.solid_angle,
-            100.0 * sun.power_share,
-            sun.lobe.sharpness,
-            sun.lobe.amplitude.max_element()
-        )
-    };
-    suns.iter().map(note).collect()
-}
-
-/// Describes a light: mean, power, peak, and a table of its lobes by power (all of them, or the
-/// first 16).
+/// Describes a light: mean, power, peak, and a table of its lobes by power (all of them, or the first 16).
 fn info(light: &LightFile, all: bool) -> String {
     let (mut text, power) = match light {
         LightFile::Lobes(lobes) => {
@@ -376,12 +293,11 @@ fn info(light: &LightFile, all: bool) -> String {
     // Writing to a `String` cannot fail.
     let _ = writeln!(text, "  mean radiance   {}", rgb(power / (4.0 * PI)));
     let _ = writeln!(text, "  power           {} (integral over the sphere, radiance × sr)", rgb(power));
-    let _ = match luminous(power) {
-        whole if whole > 0.0 => {
-            writeln!(text, "  from above      {:.1} % of the luminous power", 100.0 * upper / whole)
-        }
-        _ => writeln!(text, "  from above      nothing: it gives no light"),
+    let from_above = match luminous(power) {
+        whole if whole > 0.0 => format!("{:.1} % of the luminous power", 100.0 * upper / whole),
+        _ => "nothing: it gives no light".to_owned(),
     };
+    let _ = writeln!(text, "  from above      {from_above}");
     let _ = writeln!(text, "  peak            {} at {}", rgb(peak.as_dvec3()), direction(toward));
     if let LightFile::Lobes(lobes) = light {
         table(&mut text, lobes, if all { lobes.len() } else { TABLE_LINES });
@@ -402,8 +318,7 @@ fn peak(light: &LightFile) -> (Vec3, Vec3) {
         }
         LightFile::Map(map) => {
             let at = |k: u32| map.texel_direction(k % map.width, k / map.width);
-            let texels = (0..).zip(&map.radiance).map(|(k, &radiance)| (radiance, at(k)));
-            texels.reduce(brighter)
+            (0..).zip(&map.radiance).map(|(k, &radiance)| (radiance, at(k))).reduce(brighter)
         }
     };
     brightest.unwrap_or((Vec3::ZERO, Vec3::Y))
@@ -453,7 +368,7 @@ fn rgb(v: DVec3) -> String {
 /// Factor on a map's radiance for a preview: brings the solid-angle-weighted geometric mean luminance to mid-gray
 /// (Reinhard et al. 2002, eq. 1).
 fn preview_factor(map: &EnvironmentMap) -> f32 {
-    let mean = f64::from(luminance(map.power().as_vec3())) / (4.0 * PI);
+    let mean = luminous(map.power()) / (4.0 * PI);
     if mean <= 0.0 {
         return 1.0;
     }
@@ -467,11 +382,10 @@ fn preview_factor(map: &EnvironmentMap) -> f32 {
 
 /// A map as an 8-bit picture, its radiance multiplied by `factor`.
 fn picture(map: &EnvironmentMap, factor: f32) -> RgbImage {
-    let texel = |x: u32, y: u32| {
+    RgbImage::from_fn(map.width, map.height, |x, y| {
         let radiance = map.radiance[(y * map.width + x) as usize];
         Rgb(srgb8(Tone::Neutral.curve(radiance * factor)))
-    };
-    RgbImage::from_fn(map.width, map.height, texel)
+    })
 }
 
 /// The map above, what the lobes make of it below, each with a line of text.

@@ -2,11 +2,10 @@
 
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Element, Group, Level, Origin, Renderer, Snippet};
-use lobelia::Error;
-use lobelia::error::stop::{StopSignal, stopped_by};
-use lobelia::error::{Fault, SceneDiagnostic};
+use lobelia::{
+    Error, error::Fault, error::SceneDiagnostic, error::stop::StopSignal, error::stop::stopped_by,
+};
 use std::io::IsTerminal;
-use std::ops::Range;
 
 /// Columns of a report; longer sentences are wrapped.
 const WIDTH: usize = 100;
@@ -50,41 +49,35 @@ fn drawn(diagnostic: &SceneDiagnostic, renderer: Renderer) -> String {
 }
 
 fn group<'a>(diagnostic: &'a SceneDiagnostic, fault: &'a Fault, note: &'a str) -> Group<'a> {
-    let mut kinds =
-        std::iter::once(AnnotationKind::Primary).chain(std::iter::repeat(AnnotationKind::Context));
-    let (first_line, lines) = lines_of(&diagnostic.text, fault);
-    let title = Level::ERROR.primary_title(fault.message.as_str());
-    let start = lines.start;
-    let text = &diagnostic.text[lines];
-    let shown = if text.lines().any(|line| line.len() > LONGEST_LINE) {
-        let label = &fault.labels[0];
-        let line_start = diagnostic.text[..label.at.start].rfind('\n').map_or(0, |at| at + 1);
-        let line = 1 + diagnostic.text[..line_start].matches('\n').count();
-        let column = 1 + diagnostic.text[line_start..label.at.start].chars().count();
-        let place = Origin::path(diagnostic.name.as_str()).line(line).char_column(column);
-        title.element(place).element(Level::NOTE.message(wrapped(&label.text)))
-    } else {
-        let labels = fault.labels.iter().map(|label| {
-            let kind = kinds.next().unwrap_or(AnnotationKind::Context);
-            kind.span(label.at.start - start..label.at.end - start).label(label.text.as_str())
-        });
-        let snippet = Snippet::source(text).line_start(first_line).path(diagnostic.name.as_str());
-        title.element(snippet.annotations(labels))
+    let SceneDiagnostic { text: whole, name, .. } = diagnostic;
+    // The start of the line that holds a byte, and its number.
+    let line_of = |at: usize| {
+        let start = whole[..at].rfind('\n').map_or(0, |before| before + 1);
+        (start, 1 + whole[..start].matches('\n').count())
     };
-    let messages = [(Level::HELP, fault.help.as_str()), (Level::NOTE, note)]
-        .into_iter()
-        .filter(|(_, text)| !text.is_empty())
-        .map(|(level, text)| Element::from(level.message(wrapped(text))));
-    shown.elements(messages)
-}
-
-/// The lines that hold a fault's labels: the number of the first, from 1, and the bytes.
-fn lines_of(text: &str, fault: &Fault) -> (usize, Range<usize>) {
+    // The lines that hold the labels.
     let first = fault.labels.iter().map(|label| label.at.start).min().unwrap_or(0);
     let last = fault.labels.iter().map(|label| label.at.end).max().unwrap_or(0);
-    let start = text[..first].rfind('\n').map_or(0, |at| at + 1);
-    let end = text[last..].find('\n').map_or(text.len(), |at| last + at);
-    (1 + text[..start].matches('\n').count(), start..end)
+    let (start, first_line) = line_of(first);
+    let text = &whole[start..whole[last..].find('\n').map_or(whole.len(), |at| last + at)];
+    let title = Level::ERROR.primary_title(fault.message.as_str());
+    let shown = if text.lines().any(|line| line.len() > LONGEST_LINE) {
+        let label = &fault.labels[0];
+        let (line_start, line) = line_of(label.at.start);
+        let column = 1 + whole[line_start..label.at.start].chars().count();
+        let place = Origin::path(name.as_str()).line(line).char_column(column);
+        title.element(place).element(Level::NOTE.message(wrapped(&label.text)))
+    } else {
+        let labels = fault.labels.iter().enumerate().map(|(i, label)| {
+            let kind = if i == 0 { AnnotationKind::Primary } else { AnnotationKind::Context };
+            kind.span(label.at.start - start..label.at.end - start).label(label.text.as_str())
+        });
+        let snippet = Snippet::source(text).line_start(first_line).path(name.as_str());
+        title.element(snippet.annotations(labels))
+    };
+    let messages = [(Level::HELP, fault.help.as_str()), (Level::NOTE, note)].into_iter();
+    let messages = messages.filter(|(_, text)| !text.is_empty());
+    shown.elements(messages.map(|(level, text)| Element::from(level.message(wrapped(text)))))
 }
 
 /// The text in lines of at most [`WIDTH`] columns with the margin, broken at blanks.
@@ -134,14 +127,8 @@ mod tests {
     #[test]
     fn a_fault_is_drawn_with_its_lines_and_help() {
         let text = drawn(&diagnostic(vec![fault("seed", 33..35)]), Renderer::plain());
-        for words in [
-            "error: seed is wrong",
-            "a.ron:3:11\n",
-            "seed: -3,",
-            "seed expected",
-            "opened here",
-            "As edited.",
-        ] {
+        let place = ["error: seed is wrong", "a.ron:3:11\n", "seed: -3,"];
+        for words in [place, ["seed expected", "opened here", "As edited."]].concat() {
             assert!(text.contains(words), "no {words:?} in\n{text}");
         }
         assert!(text.lines().all(|line| line.chars().count() <= WIDTH), "{text}");

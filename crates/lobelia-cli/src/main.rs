@@ -20,34 +20,10 @@ mod start;
 mod terminal;
 mod view;
 
-use clap::error::{ContextKind, ContextValue};
-use clap::{Parser, Subcommand};
-use lobelia::Result;
-use std::io::Write as _;
-use std::process::ExitCode;
+use clap::{Parser, Subcommand, error::ContextKind, error::ContextValue};
+use std::{io::Write as _, process::ExitCode};
 
-const EXAMPLES: &str = "\
-Examples:
-  lobelia run scenes/quickstart.ron
-      A first look: makes its own photographs, fits them, edits, relights and scores. Needs no data.
-  lobelia run scenes/spot.ron --data ~/data/spot --out out/spot
-      Your own photographs: $DATA in the scene file stands for ~/data/spot.
-  lobelia run scenes/spot.ron --data ~/data/spot --set passes.fit.steps=200 --set views.downscale=2
-      A quick try of the same, without touching the file.
-  lobelia prepare ~/photos ~/data/vase
-      Photographs without cameras: COLMAP finds these, rembg makes masks, and a scene file is written.
-  lobelia check scenes/spot.ron --data ~/data/spot
-      Is everything there and sensible? Nothing is run or written. (Without --data, what is below $DATA is not
-      looked for.)
-  lobelia view out/spot --light sky.hdr
-      A page to turn, relight and edit the result in a browser: out/spot/view.html.
-  lobelia report out/spot out/spot-again --out both.html
-      Two runs side by side. The page of one run is written with it: out/spot/report.html.
-  lobelia eval out/spot/novel ~/data/spot/test/image
-      How close are these images to those?
-
-Exit codes: 0 done, 1 ran and failed, 2 bad input, 130, 143 or 129 stopped by Ctrl-C, SIGTERM or
-SIGHUP (what was found is kept).";
+const EXAMPLES: &str = include_str!("help/lobelia.txt").trim_ascii_end();
 
 /// Recovers surface, material and light of a photographed object as spherical Gaussians; then edits and relights it.
 #[derive(Debug, Parser)]
@@ -57,32 +33,21 @@ struct Cli {
     command: Command,
 }
 
-/// Command of `lobelia`.
+/// The commands; the comment of each one's arguments is its help.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run the passes of a scene file
-    #[command(long_about = run::RUN_LONG, after_long_help = EXAMPLES)]
+    #[command(after_long_help = EXAMPLES)]
     Run(run::RunArgs),
-    /// Read a scene file, look at its photographs and masks, and say what it would do and what is wrong
     Check(check::CheckArgs),
-    /// From photographs or a video to a data set: cameras by COLMAP, masks, a scene file
-    #[command(long_about = prepare::PREPARE_LONG, after_long_help = prepare::PREPARE_EXAMPLES)]
     Prepare(prepare::PrepareArgs),
-    /// Write a commented scene file for a data set
     New(prepare::NewArgs),
-    /// Write a page that shows a saved object in a browser: turned, relit, edited
-    #[command(long_about = view::VIEW_LONG)]
     View(view::ViewArgs),
-    /// Write a page that shows a run, or sets several side by side: scores, views, curves
-    #[command(long_about = report::REPORT_LONG)]
     Report(report::ReportArgs),
-    /// Compare two images, or the images of two folders by name: PSNR and SSIM in linear light
     Eval(report::EvalArgs),
-    /// Measure how long shading takes per point and light lobe on this machine, in about a minute
-    #[command(long_about = bench::BENCH_LONG, after_long_help = bench::BENCH_EXAMPLES)]
     Bench(bench::BenchArgs),
     /// Environment light: fit SG lobes to a map, draw lobes as a map, turn a light, say what is in it
-    Env(env::EnvArgs),
+    #[command(subcommand, after_long_help = env::EXAMPLES)]
+    Env(env::EnvCommand),
 }
 
 /// Arguments in, one report of an error out, and the exit code.
@@ -101,7 +66,18 @@ fn main() -> ExitCode {
             return if error.use_stderr() { ExitCode::from(2) } else { ExitCode::SUCCESS };
         }
     };
-    match dispatch(&cli.command) {
+    let ended = match &cli.command {
+        Command::Run(args) => run::run(args),
+        Command::Check(args) => check::run(args),
+        Command::Prepare(args) => prepare::run(args),
+        Command::New(args) => prepare::new(args),
+        Command::Eval(args) => report::eval(args),
+        Command::View(args) => view::run(args),
+        Command::Report(args) => report::run(args),
+        Command::Bench(args) => bench::run(args),
+        Command::Env(command) => env::run(command),
+    };
+    match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let _ = std::io::stderr().write_all(error_message::report(&error).as_bytes());
@@ -134,25 +110,9 @@ const GONE: [(&str, &str); 9] = [
 
 /// A word that a command once had, and what to do instead.
 fn gone_word(error: &clap::Error) -> Option<(&'static str, &'static str)> {
-    let word = [ContextKind::InvalidArg, ContextKind::InvalidSubcommand]
-        .into_iter()
-        .find_map(|kind| error.get(kind));
-    let Some(ContextValue::String(word)) = word else { return None };
+    let given = error.get(ContextKind::InvalidArg).or_else(|| error.get(ContextKind::InvalidSubcommand));
+    let Some(ContextValue::String(word)) = given else { return None };
     GONE.into_iter().find(|(gone, _)| word.split(['=', ' ']).next() == Some(gone))
-}
-
-fn dispatch(command: &Command) -> Result<()> {
-    match command {
-        Command::Run(args) => run::run(args),
-        Command::Check(args) => check::run(args),
-        Command::Prepare(args) => prepare::run(args),
-        Command::New(args) => prepare::new(args),
-        Command::Eval(args) => report::eval(args),
-        Command::View(args) => view::run(args),
-        Command::Report(args) => report::run(args),
-        Command::Bench(args) => bench::run(args),
-        Command::Env(args) => env::run(args),
-    }
 }
 
 #[cfg(test)]

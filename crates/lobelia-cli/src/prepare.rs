@@ -3,36 +3,23 @@
 use super::start::{Choices, ThreadArgs, choices, start_threads, stop_on_signals};
 use super::terminal::{Terminal, print};
 use clap::Args;
-use lobelia::codec::file::write_bytes;
-use lobelia::dataset::Layout;
-use lobelia::pass::progress::Progress;
 use lobelia::prepare::scene_file::scene_for;
 use lobelia::prepare::{FrameCount, MaskSource, Matching, PrepareOptions, prepare};
-use lobelia::{Error, Result};
+use lobelia::{Error, Result, codec::file::write_bytes, dataset::Layout, pass::progress::Progress};
 use std::path::PathBuf;
 
-/// The beginning of `lobelia prepare --help`.
-pub const PREPARE_LONG: &str = "\
-Makes a data set of photographs whose cameras are unknown.
+const EXAMPLES: &str = include_str!("help/prepare.txt").trim_ascii_end();
 
-COLMAP finds the cameras: features, matches, mapping, undistortion. OUT then has images/, sparse/0/, masks/ if there
-are masks, logs/, and a commented scene file scene.ron. OUT must be new or empty. A run that was stopped goes on where
-it was when the same command is given again; steps whose options changed are done again.";
-
-/// Its end.
-pub const PREPARE_EXAMPLES: &str = "\
-Examples:
-  lobelia prepare ~/photos ~/data/vase
-      Masks by alpha, or by rembg if it is installed (`pip install 'rembg[cpu,cli]'`).
-  lobelia prepare ~/photos ~/data/vase --mask-command 'my-segmenter {in} {out}' --features object
-      Masks by a program of your own, run once per photograph; the object stood on a turntable.
-  lobelia prepare walk.mp4 ~/data/statue --frames 120
-      A video: a frame of each of 120 intervals. Needs ffmpeg.
-  lobelia run ~/data/vase/scene.ron --out out/vase
-      What to do then.";
-
-/// `lobelia prepare`.
+/// Makes a data set of photographs whose cameras are unknown.
+///
+/// COLMAP finds the cameras: features, matches, mapping, undistortion. OUT then has images/, sparse/0/, masks/ if there
+/// are masks, logs/, and a commented scene file scene.ron. OUT must be new or empty. A run that was stopped goes on where
+/// it was when the same command is given again; steps whose options changed are done again.
 #[derive(Args, Debug)]
+#[command(
+    about = "From photographs or a video to a data set: cameras by COLMAP, masks, a scene file",
+    verbatim_doc_comment, after_long_help = EXAMPLES
+)]
 pub struct PrepareArgs {
     /// A folder of JPEG and PNG photographs, or a video
     photos: PathBuf,
@@ -103,20 +90,7 @@ const LENSES: Choices<&str> = &[
 pub fn run(args: &PrepareArgs) -> Result<()> {
     stop_on_signals()?;
     start_threads(ThreadArgs { threads: None })?;
-    let terminal = Terminal::new(args.quiet);
-    let prepared = prepare(&options(args), &terminal)?;
-    if prepared.scene.is_none() {
-        terminal.note(
-            "there are no masks: put them into masks/ of the data set, or a mesh beside them; `lobelia new` then writes a scene file",
-        );
-    }
-    let next = prepared.scene.as_ref().map(|scene| format!("\nnext: lobelia check {}", scene.display()));
-    terminal.print(&format!("{prepared}{}", next.unwrap_or_default()));
-    Ok(())
-}
-
-fn options(args: &PrepareArgs) -> PrepareOptions {
-    PrepareOptions {
+    let options = PrepareOptions {
         masks: match (&args.masks, &args.mask_command) {
             (Some(folder), _) => MaskSource::Folder(folder.clone()),
             (None, Some(command)) => MaskSource::Command(command.clone()),
@@ -136,10 +110,21 @@ fn options(args: &PrepareArgs) -> PrepareOptions {
         colmap: args.colmap.clone(),
         ffmpeg: args.ffmpeg.clone(),
         ..PrepareOptions::new(&args.photos, &args.out)
-    }
+    };
+    let terminal = Terminal { quiet: args.quiet };
+    let prepared = prepare(&options, &terminal)?;
+    let Some(scene) = &prepared.scene else {
+        terminal.note(
+            "there are no masks: put them into masks/ of the data set, or a mesh beside them; `lobelia new` then writes a scene file",
+        );
+        terminal.print(&prepared.to_string());
+        return Ok(());
+    };
+    terminal.print(&format!("{prepared}\nnext: lobelia check {}", scene.display()));
+    Ok(())
 }
 
-/// `lobelia new`.
+/// Write a commented scene file for a data set
 #[derive(Args, Debug)]
 pub struct NewArgs {
     /// The folder of a data set
@@ -148,13 +133,9 @@ pub struct NewArgs {
     #[arg(long, value_name = "SCENE.ron", default_value = "scene.ron")]
     out: PathBuf,
     /// The layout of the data, where the folder has several: Colmap, Llff, Nerf, …
-    #[arg(long, value_name = "LAYOUT", default_value = "Auto", hide_default_value = true, value_parser = parse_layout)]
+    #[arg(long, value_name = "LAYOUT", default_value = "Auto", hide_default_value = true,
+        value_parser = |name: &str| ron::from_str::<Layout>(name).map_err(|error| error.code.to_string()))]
     layout: Layout,
-}
-
-/// A layout by the name that it has in scene files.
-fn parse_layout(name: &str) -> std::result::Result<Layout, String> {
-    ron::from_str(name).map_err(|error| error.code.to_string())
 }
 
 /// Writes a commented scene file for a data set.

@@ -1,20 +1,13 @@
 //! `lobelia run --profile`: where the time goes, by the `tracing` spans of passes, stages, schedules and systems.
 
 use lobelia::{Error, Result};
-use std::collections::HashMap;
-use std::fmt::{self, Write as _};
-use std::fs::File;
-use std::io::{self, Seek, Write as _};
-use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use tracing::field::{Field, Visit};
-use tracing::span::{Attributes, Id};
-use tracing::subscriber::set_global_default;
+use std::{collections::HashMap, fmt, fs::File, io, io::Seek as _, io::Write as _, path::Path};
+use tracing::{field::Field, field::Visit, span::Attributes, span::Id, subscriber::set_global_default};
 use tracing_chrome::{ChromeLayerBuilder, EventOrSpan, FlushGuard};
-use tracing_subscriber::Layer;
 use tracing_subscriber::layer::{Context, Layered, SubscriberExt};
-use tracing_subscriber::registry::{LookupSpan, Registry};
+use tracing_subscriber::{Layer, registry::LookupSpan, registry::Registry};
 
 /// The table, in the output folder.
 const TABLE: &str = "profile.txt";
@@ -37,26 +30,31 @@ impl Profiler {
     pub fn start(with_trace: bool) -> Result<Self> {
         let sums = Sums::default();
         let spans = Registry::default().with(SumLayer(sums.clone()));
-        let failed = |problem: String| Error::run("--profile", problem);
-        let trace = if with_trace {
+        let (set, trace) = if with_trace {
             let file = tempfile::tempfile().and_then(|file| Ok((file.try_clone()?, file)));
             let (copy, file) = file.map_err(Error::io("create", std::env::temp_dir()))?;
-            let builder = ChromeLayerBuilder::<Layered<SumLayer, Registry>>::new()
-                .writer(copy)
-                .include_locations(false);
-            let (layer, guard) = builder.name_fn(Box::new(name_in_trace)).build();
-            set_global_default(spans.with(layer)).map_err(|error| failed(error.to_string()))?;
-            Some((file, guard))
+            let builder = ChromeLayerBuilder::<Layered<SumLayer, Registry>>::new().include_locations(false);
+            let (layer, guard) = builder.writer(copy).name_fn(Box::new(name_in_trace)).build();
+            (set_global_default(spans.with(layer)), Some((file, guard)))
         } else {
-            set_global_default(spans).map_err(|error| failed(error.to_string()))?;
-            None
+            (set_global_default(spans), None)
         };
+        set.map_err(|error| Error::run("--profile", error.to_string()))?;
         Ok(Self { sums, began: Instant::now(), trace })
     }
 
     /// Prints the table on standard error, and writes it and the trace into the output folder, if there is one.
     pub fn finish(self, out: &Path) -> Result<()> {
-        let table = self.table();
+        // A line per name, the longest time first; spans inside others count in both.
+        let sums = self.sums.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut rows: Vec<_> = sums.iter().collect();
+        rows.sort_by(|(a, (_, x)), (b, (_, y))| y.cmp(x).then(a.cmp(b)));
+        let secs = self.began.elapsed().as_secs_f64();
+        let mut table = format!("{:>9}  {:>9}  of {secs:.2} s\n", "wall s", "count");
+        for (name, (count, time)) in rows {
+            table += &format!("{:>9.3}  {count:>9}  {name}\n", time.as_secs_f64());
+        }
+        drop(sums);
         let _ = io::stderr().write_all(table.as_bytes());
         if !out.is_dir() {
             return Ok(());
@@ -67,20 +65,6 @@ impl Profiler {
         drop(guard);
         let written = file.rewind().and_then(|()| io::copy(&mut file, &mut File::create(out.join(TRACE))?));
         written.map(drop).map_err(Error::io("write", out.join(TRACE)))
-    }
-
-    /// A line per name, the longest time first; spans inside others count in both.
-    fn table(&self) -> String {
-        let sums = self.sums.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut rows: Vec<_> = sums.iter().collect();
-        rows.sort_by(|(a, (_, x)), (b, (_, y))| y.cmp(x).then(a.cmp(b)));
-        let mut text =
-            format!("{:>9}  {:>9}  of {:.2} s\n", "wall s", "count", self.began.elapsed().as_secs_f64());
-        for (name, (count, time)) in rows {
-            // Writing to a `String` cannot fail.
-            let _ = writeln!(text, "{:>9.3}  {count:>9}  {name}", time.as_secs_f64());
-        }
-        text
     }
 }
 

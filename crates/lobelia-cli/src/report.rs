@@ -1,28 +1,23 @@
 //! `lobelia report`: a run as a page, or several side by side as a table, as CSV, or as one page; and `lobelia eval`: pictures compared.
 
-use super::start::refuse_foreign;
-use super::terminal::print;
+use super::{start::refuse_foreign, terminal::print};
 use clap::Args;
-use lobelia::codec::file::write_bytes;
 use lobelia::pass::summary::{csv_of_runs, read_run, table_of_runs};
-use lobelia::report::compare::compare;
 use lobelia::report::html::{REPORT, SIGNATURE, html};
-use lobelia::report::scores::Scaling;
-use lobelia::{Error, Result};
-use std::collections::HashSet;
-use std::path::PathBuf;
+use lobelia::{Error, Result, codec::file::write_bytes, report::compare::compare, report::scores::Scaling};
+use std::{collections::HashSet, path::PathBuf};
 
-/// The long help.
-pub const REPORT_LONG: &str = "\
-Sets runs side by side, by their scores, times and states: a table on the terminal, or CSV with --csv.
-
-Of one run it writes the page that `lobelia run` writes into OUT/report.html after every pass. With --out it writes one
-page of 1 to 8 runs, which needs nothing else, no server and no network: the scores with the differences from the first
-run, the same views of all runs under one wipe, their curves in one chart, and the values in which their scene files
-differ.";
-
-/// `lobelia report`.
+/// Sets runs side by side, by their scores, times and states: a table on the terminal, or CSV with --csv.
+///
+/// Of one run it writes the page that `lobelia run` writes into OUT/report.html after every pass. With --out it writes one
+/// page of 1 to 8 runs, which needs nothing else, no server and no network: the scores with the differences from the first
+/// run, the same views of all runs under one wipe, their curves in one chart, and the values in which their scene files
+/// differ.
 #[derive(Args, Debug)]
+#[command(
+    about = "Write a page that shows a run, or sets several side by side: scores, views, curves",
+    verbatim_doc_comment
+)]
 pub struct ReportArgs {
     /// The output folders of runs; the first one is what the others are compared with
     #[arg(value_name = "OUT", required = true)]
@@ -35,7 +30,7 @@ pub struct ReportArgs {
     csv: bool,
 }
 
-/// `lobelia eval`.
+/// Compare two images, or the images of two folders by name: PSNR and SSIM in linear light
 #[derive(Args, Debug)]
 pub struct EvalArgs {
     /// An image, or a folder of images

@@ -1,34 +1,27 @@
 //! `lobelia run`: the passes of a scene file, in their order.
 
-use super::profile::Profiler;
 use super::start::{Choices, SceneArgs, ThreadArgs, choices, load_options, start_threads, stop_on_signals};
-use super::terminal::{JsonLog, Terminal};
-use clap::{Args, ValueEnum};
-use lobelia::Result;
-use lobelia::pass::memory::usual_budget;
-use lobelia::pass::progress::Progress;
-use lobelia::pass::{self, RunOptions};
+use super::{profile::Profiler, terminal::JsonLog, terminal::Terminal};
+use clap::Args;
 use lobelia::scene::load;
 use lobelia::shade::device::ShadingDevice;
-use std::path::{Path, PathBuf};
+use lobelia::{Result, pass, pass::RunOptions, pass::memory::usual_budget, pass::progress::Progress};
+use std::{path::Path, path::PathBuf, time::Instant};
 
-/// The help of the command.
-pub const RUN_LONG: &str = "\
-Runs the passes of a scene file in their order.
-
-A scene file says what is known about an object (its surface, the photographs, the light, the material), what is
-not, and what to do: Fit what is unknown, Render views, Edit the material, Relight it, Evaluate against the
-truth, Save it as a scene of its own, Export it as .glb. Every pass has a name and writes into OUT/<name>/.
-
-Inputs are never replaced, whatever OUT and passes are called. OUT/run.json says how far the run is and lists its
-files; --force replaces those of an earlier run and nothing else. Only one run at a time writes into OUT.
-
-Ctrl-C, SIGTERM and SIGHUP stop a run: what was found until then is scored, saved and exported. A run that was
-stopped, killed, or failed goes on where it was with the same command and --resume. --live shows a run that is at
-work in OUT/report.html.";
-
-/// `lobelia run`.
+/// Runs the passes of a scene file in their order.
+///
+/// A scene file says what is known about an object (its surface, the photographs, the light, the material), what is
+/// not, and what to do: Fit what is unknown, Render views, Edit the material, Relight it, Evaluate against the
+/// truth, Save it as a scene of its own, Export it as .glb. Every pass has a name and writes into OUT/<name>/.
+///
+/// Inputs are never replaced, whatever OUT and passes are called. OUT/run.json says how far the run is and lists its
+/// files; --force replaces those of an earlier run and nothing else. Only one run at a time writes into OUT.
+///
+/// Ctrl-C, SIGTERM and SIGHUP stop a run: what was found until then is scored, saved and exported. A run that was
+/// stopped, killed, or failed goes on where it was with the same command and --resume. --live shows a run that is at
+/// work in OUT/report.html.
 #[derive(Args, Debug)]
+#[command(about = "Run the passes of a scene file", verbatim_doc_comment)]
 pub struct RunArgs {
     #[command(flatten)]
     scene: SceneArgs,
@@ -66,36 +59,28 @@ pub struct RunArgs {
     live: bool,
     /// Form of a run's messages: text for a person, or a line of JSON for each event, on standard
     /// output
-    #[arg(long, value_name = "FORM", default_value = "text", conflicts_with = "quiet")]
-    log: LogForm,
+    #[arg(long, value_name = "FORM", default_value = "text", conflicts_with = "quiet", value_parser = choices(LOGS))]
+    log: bool,
     /// Nothing but errors on the terminal: no progress bars, no notes, no results
     #[arg(short, long)]
     quiet: bool,
 }
 
-/// Form of a run's messages.
-#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
-pub enum LogForm {
-    /// Bars, notes and results
-    Text,
-    /// Events, for programs
-    Json,
-}
-
+/// Forms of messages, and whether they are JSON.
+const LOGS: Choices<bool> =
+    &[("text", false, "Bars, notes and results"), ("json", true, "Events, for programs")];
 /// Forms of a profile, and whether they have a trace.
 const PROFILES: Choices<bool> = &[("table", false, "A table"), ("trace", true, "Also a trace")];
 
 /// Runs the command.
 pub fn run(args: &RunArgs) -> Result<()> {
-    match args.log {
-        LogForm::Text => carry_out(args, &Terminal::new(args.quiet)),
-        LogForm::Json => {
-            let log = JsonLog::new();
-            let ended = carry_out(args, &log);
-            log.end(&ended);
-            ended
-        }
+    if !args.log {
+        return carry_out(args, &Terminal { quiet: args.quiet });
     }
+    let log = JsonLog { start: Instant::now() };
+    let ended = carry_out(args, &log);
+    log.end(&ended);
+    ended
 }
 
 /// Runs the scene, and reports to `shown`.
@@ -104,14 +89,12 @@ fn carry_out(args: &RunArgs, shown: &dyn Progress) -> Result<()> {
     let out = args.out.clone().unwrap_or_else(|| Path::new("out").join(name));
     let loaded = load(&args.scene.scene, &load_options(&args.scene))?;
     start_threads(args.threads)?;
-    let memory = args.memory.or_else(usual_budget);
-    let arguments = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     let options = RunOptions {
         out,
         force: args.force,
         debug_every: args.debug_every,
-        memory,
-        arguments,
+        memory: args.memory.or_else(usual_budget),
+        arguments: std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect(),
         checkpoint_every: None,
         resume: args.resume,
         device: (args.device != "cpu").then(|| ShadingDevice::open(&args.device)).transpose()?,

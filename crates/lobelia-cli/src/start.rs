@@ -1,23 +1,12 @@
-//! Preparations of commands: the scene, the number of threads, signals, and files that must not be
-//! written over.
+//! Preparations of commands: the scene, the number of threads, signals, and files that must not be written over.
 
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use lobelia::codec::file::{FileUse, check_apart, is_there, read_bytes};
-use lobelia::error::stop::{StopSignal, ask_to_stop};
-use lobelia::scene::LoadOptions;
-use lobelia::{Error, Result};
+use lobelia::{Error, Result, error::stop::StopSignal, error::stop::ask_to_stop, scene::LoadOptions};
 use std::path::{Path, PathBuf};
 
-const SET_LONG: &str = "\
-Replaces a value of the scene file, or adds it where it is left out. May be given many times.
-
-PATH joins field names by dots. An item of a list is named by its number, by its `name`, or by its kind:
-  --set seed=7
-  --set passes.fit.rates.light=0.01
-  --set passes.novel.render.shading='PathTraced(spp: 64)'
-  --set material.specular.roughness='Fixed(0.25)'
-  --set light.path=other.exr";
+const SET_LONG: &str = include_str!("help/set.txt").trim_ascii_end();
 
 /// Which scene, and what the command line adds to it.
 #[derive(Args, Debug)]
@@ -36,13 +25,10 @@ pub struct SceneArgs {
     pub sets: Vec<(String, String)>,
 }
 
-fn path_and_value(text: &str) -> std::result::Result<(String, String), String> {
-    match text.split_once('=') {
-        Some((path, value)) if !path.trim().is_empty() && !value.trim().is_empty() => {
-            Ok((path.trim().to_owned(), value.trim().to_owned()))
-        }
-        _ => Err("expected PATH=VALUE, e.g. passes.fit.steps=4".to_owned()),
-    }
+fn path_and_value(text: &str) -> Result<(String, String), String> {
+    let parts = text.split_once('=').map(|(path, value)| (path.trim().to_owned(), value.trim().to_owned()));
+    let whole = parts.filter(|(path, value)| !path.is_empty() && !value.is_empty());
+    whole.ok_or_else(|| "expected PATH=VALUE, e.g. passes.fit.steps=4".to_owned())
 }
 
 /// Returns the additions of the command line to a scene file, as the library reads them.
@@ -54,9 +40,7 @@ pub fn load_options(args: &SceneArgs) -> LoadOptions {
 pub type Choices<T> = &'static [(&'static str, T, &'static str)];
 
 /// Reads one of the choices by its name.
-pub fn choices<T: Copy + Send + Sync + 'static>(
-    all: &'static [(&'static str, T, &'static str)],
-) -> impl TypedValueParser<Value = T> {
+pub fn choices<T: Copy + Send + Sync + 'static>(all: Choices<T>) -> impl TypedValueParser<Value = T> {
     let shown = all.iter().map(|(name, _, help)| PossibleValue::new(*name).help(*help));
     PossibleValuesParser::new(shown).try_map(move |name| {
         all.iter().find(|choice| choice.0 == name).map(|choice| choice.1).ok_or("no such choice")
@@ -73,9 +57,8 @@ pub struct ThreadArgs {
 
 /// Starts as many worker threads as asked for; without a number, one per processor, or what `RAYON_NUM_THREADS` says.
 pub fn start_threads(args: ThreadArgs) -> Result<()> {
-    let started =
-        rayon::ThreadPoolBuilder::new().num_threads(args.threads.map_or(0, usize::from)).build_global();
-    started.map_err(|error| {
+    let threads = rayon::ThreadPoolBuilder::new().num_threads(args.threads.map_or(0, usize::from));
+    threads.build_global().map_err(|error| {
         let problem = format!("worker threads cannot be started: {error}");
         Error::usage(problem, "Raise the limit of processes (ulimit -u), or ask for fewer threads: --threads, or RAYON_NUM_THREADS.")
     })
@@ -98,7 +81,7 @@ pub fn stop_on_signals() -> Result<()> {
             });
         }
     };
-    std::thread::Builder::new().name("signals".into()).spawn(listen).map(|_| ()).map_err(refused)
+    std::thread::Builder::new().name("signals".into()).spawn(listen).map(drop).map_err(refused)
 }
 
 /// Tells whether the process was started with a signal ignored. Only Linux says it without a system call that Rust has no safe name for.
@@ -145,11 +128,9 @@ pub fn refuse_inputs(inputs: &[PathBuf], outputs: &[(&Path, &str)]) -> Result<()
 /// Refuses to replace a page that this program did not write: one without its signature.
 pub fn refuse_foreign(page: &Path, signature: &str) -> Result<()> {
     let signed = |bytes: &[u8]| bytes.windows(signature.len()).any(|window| window == signature.as_bytes());
+    let is_signed = || read_bytes(page, |_| String::new()).is_ok_and(|bytes| signed(&bytes));
     // Of a folder in its place the writer tells.
-    if !is_there(page)
-        || page.is_dir()
-        || read_bytes(page, |_| String::new()).is_ok_and(|bytes| signed(&bytes))
-    {
+    if !is_there(page) || page.is_dir() || is_signed() {
         return Ok(());
     }
     let problem = format!("{} is not a page that this command wrote", page.display());
@@ -163,8 +144,6 @@ mod tests {
     #[test]
     fn set_takes_the_first_equals_sign() {
         assert_eq!(path_and_value("a.b = x=1"), Ok(("a.b".into(), "x=1".into())));
-        assert!(
-            path_and_value("a.b").is_err() && path_and_value("=1").is_err() && path_and_value("a=").is_err()
-        );
+        assert!(["a.b", "=1", "a="].iter().all(|bad| path_and_value(bad).is_err()));
     }
 }

@@ -12,24 +12,15 @@ use std::time::{Duration, Instant};
 /// Writes to stdout; a reader that has gone away (`lobelia check … | head -1`) is no failure.
 pub fn print(text: &str) -> Result<()> {
     match std::io::stdout().write_all(text.as_bytes()) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(Error::io("write", "standard output")(error))
-        }
-        _ => Ok(()),
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
+        written => written.map_err(Error::io("write", "standard output")),
     }
 }
 
-/// Bars on a terminal and results on standard output; neither under `--quiet`. Errors are printed by the command itself.
+/// Bars where standard error is a terminal, and results on standard output; neither if it is `quiet`. Errors are printed by the command
+/// itself.
 pub struct Terminal {
-    bars: bool,
-    quiet: bool,
-}
-
-impl Terminal {
-    /// Bars if standard error is a terminal and `quiet` is not set.
-    pub fn new(quiet: bool) -> Self {
-        Self { bars: !quiet && std::io::stderr().is_terminal(), quiet }
-    }
+    pub quiet: bool,
 }
 
 impl Progress for Terminal {
@@ -43,26 +34,24 @@ impl Progress for Terminal {
 
     /// On standard output; a closed pipe is not an error.
     fn print(&self, text: &str) {
-        if self.quiet {
-            return;
+        if !self.quiet {
+            let _ = writeln!(std::io::stdout().lock(), "{text}");
         }
-        let mut out = std::io::stdout().lock();
-        let _ = writeln!(out, "{text}");
     }
 
     /// With the time left, or that spent where the length is not known; hidden where bars are not shown.
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
-        if !self.bars {
-            return Box::new(TerminalBar::new(ProgressBar::hidden()));
+        let mut bar = ProgressBar::hidden();
+        if !self.quiet && std::io::stderr().is_terminal() {
+            bar = ProgressBar::new(length);
+            dress(&bar, length);
+            bar.set_prefix(title.to_owned());
+            // The ticker is a thread, and a bar without one is drawn when it moves.
+            if std::thread::Builder::new().spawn(|| ()).is_ok() {
+                bar.enable_steady_tick(Duration::from_millis(200));
+            }
         }
-        let bar = ProgressBar::new(length);
-        dress(&bar, length);
-        bar.set_prefix(title.to_owned());
-        // The ticker is a thread, and a bar without one is drawn when it moves.
-        if std::thread::Builder::new().spawn(|| ()).is_ok() {
-            bar.enable_steady_tick(Duration::from_millis(200));
-        }
-        Box::new(TerminalBar::new(bar))
+        Box::new(TerminalBar { bar, begins: AtomicBool::new(false) })
     }
 }
 
@@ -82,12 +71,6 @@ struct TerminalBar {
     bar: ProgressBar,
     /// Whether the number of steps is known now, and none was told yet.
     begins: AtomicBool,
-}
-
-impl TerminalBar {
-    fn new(bar: ProgressBar) -> Self {
-        Self { bar, begins: AtomicBool::new(false) }
-    }
 }
 
 impl Bar for TerminalBar {
@@ -141,7 +124,8 @@ const STEPS: u32 = 20;
 /// | `note`, `result` | `text` | as on the terminal |
 /// | `ended` | `state`, `error`, `help` | the last line, but for a second signal: `finished`, `interrupted` or `failed` |
 pub struct JsonLog {
-    start: Instant,
+    /// When it began.
+    pub start: Instant,
 }
 
 #[derive(Serialize)]
@@ -173,11 +157,6 @@ fn write_event(start: Instant, event: Event) {
 }
 
 impl JsonLog {
-    /// A log that begins now.
-    pub fn new() -> Self {
-        Self { start: Instant::now() }
-    }
-
     /// Says how the run ended.
     pub fn end(&self, ended: &Result<()>) {
         let (state, error) = match ended {
@@ -186,15 +165,11 @@ impl JsonLog {
             Err(error) => ("failed", Some(error)),
         };
         let help = error.and_then(Error::help);
-        write_event(self.start, Event::Ended { state, error: error.map(in_a_line), help });
-    }
-}
-
-/// An error with the name of the scene file, if it is about that.
-fn in_a_line(error: &Error) -> String {
-    match error {
-        Error::Scene(diagnostic) => format!("{}: {error}", diagnostic.name),
-        _ => error.to_string(),
+        let error = error.map(|error| match error {
+            Error::Scene(diagnostic) => format!("{}: {error}", diagnostic.name),
+            _ => error.to_string(),
+        });
+        write_event(self.start, Event::Ended { state, error, help });
     }
 }
 
@@ -216,7 +191,7 @@ impl Progress for JsonLog {
     fn moment(&self, at: Moment) {
         match at {
             Moment::Pass { name, number, count } => {
-                write_event(self.start, Event::Pass { name, number, count });
+                write_event(self.start, Event::Pass { name, number, count })
             }
             Moment::Step { step, steps, fit } if step % STEPS == 0 || step == steps => {
                 let (loss, psnr, lobes) = (fit.sums.mean(), fit.sums.psnr(), fit.lobes);

@@ -3,27 +3,22 @@
 use super::start::{ThreadArgs, refuse_foreign, start_threads};
 use super::terminal::Terminal;
 use clap::Args;
-use lobelia::codec::npy::NpyConvention;
-use lobelia::glam::Vec3;
-use lobelia::light::convention::MapConvention;
 use lobelia::pass::progress::Progress;
-use lobelia::pass::view::PAGE;
-use lobelia::pass::write_view;
 use lobelia::scene::{LightSource, LoadOptions, LoadedScene, ViewPass, Views, load};
-use lobelia::{Error, Result};
+use lobelia::{Error, Result, glam::Vec3, pass::view::PAGE, pass::write_view};
 use std::path::{Path, PathBuf};
 
-/// The long help.
-pub const VIEW_LONG: &str = "\
-Writes OUT/view.html: one page that shows the object that a run saved, and needs nothing else, no server and no network.
-
-The object is turned with mouse, touch or keyboard, under the light that was found or under lights given with
---light; roughness, reflection, color and exposure have sliders; what was done can be copied as a pass for a scene
-file. The photographs, if they are still there, are laid beside the picture under a wipe. A pass View() in a scene
-file writes the same page, with the lights of the scene's own passes.";
-
-/// `lobelia view`.
+/// Writes OUT/view.html: one page that shows the object that a run saved, and needs nothing else, no server and no network.
+///
+/// The object is turned with mouse, touch or keyboard, under the light that was found or under lights given with
+/// --light; roughness, reflection, color and exposure have sliders; what was done can be copied as a pass for a scene
+/// file. The photographs, if they are still there, are laid beside the picture under a wipe. A pass View() in a scene
+/// file writes the same page, with the lights of the scene's own passes.
 #[derive(Args, Debug)]
+#[command(
+    about = "Write a page that shows a saved object in a browser: turned, relit, edited",
+    verbatim_doc_comment
+)]
 pub struct ViewArgs {
     /// The output folder of a run with a `Save` pass, or a scene file in which all is known
     #[arg(value_name = "OUT")]
@@ -53,7 +48,7 @@ pub fn run(args: &ViewArgs) -> Result<()> {
     refuse_foreign(&folder.join(PAGE), SIGNATURE)?;
     start_threads(args.threads)?;
     let options = LoadOptions { data: args.data.clone(), ..LoadOptions::default() };
-    let terminal = Terminal::new(false);
+    let terminal = Terminal { quiet: false };
     let loaded = load(&scene, &options).or_else(|error| without_data(&scene, &options, error, &terminal))?;
     let lights: Vec<(String, LightSource)> = args.lights.iter().map(|path| light(path)).collect();
     let pass = ViewPass { photographs: args.photographs, ..ViewPass::default() };
@@ -61,18 +56,13 @@ pub fn run(args: &ViewArgs) -> Result<()> {
 }
 
 /// The scene without its views, and a note, if it is only their data set that is no longer there.
-fn without_data(
-    scene: &Path,
-    options: &LoadOptions,
-    error: Error,
-    progress: &dyn Progress,
-) -> Result<LoadedScene> {
+fn without_data(scene: &Path, options: &LoadOptions, error: Error, shown: &Terminal) -> Result<LoadedScene> {
     // A scene has at least one camera.
     let sets = [("views", r#"Cameras([(name: "none", eye: (0, 0, 1))])"#), ("passes", "[]")];
     let sets = sets.map(|(path, value)| (path.to_owned(), value.to_owned())).to_vec();
     let Ok(mut loaded) = load(scene, &LoadOptions { sets, ..options.clone() }) else { return Err(error) };
     loaded.scene.views = Views::Cameras(Vec::new());
-    progress.note(&format!("the page has neither photographs nor their cameras:\n{error}"));
+    shown.note(&format!("the page has neither photographs nor their cameras:\n{error}"));
     Ok(loaded)
 }
 
@@ -93,18 +83,17 @@ fn scene_of(out: &Path) -> Result<(PathBuf, PathBuf)> {
 /// A light file, by its ending, under the name of the file.
 fn light(path: &Path) -> (String, LightSource) {
     let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let path = path.to_owned();
-    let ending = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-    let (scale, rotation_degrees) = (1.0, Vec3::ZERO);
-    let source = match ending.as_str() {
-        "ron" => LightSource::Ron { path, scale, rotation_degrees },
-        "npy" => LightSource::Npy { path, convention: NpyConvention::default(), scale, rotation_degrees },
+    let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
+    let (path, scale, rotation_degrees) = (path.to_owned(), 1.0, Vec3::ZERO);
+    let source = match ending.to_str() {
+        Some("ron") => LightSource::Ron { path, scale, rotation_degrees },
+        Some("npy") => LightSource::Npy { path, convention: Default::default(), scale, rotation_degrees },
         _ => LightSource::Map {
             path,
             scale,
             rotation_degrees,
             lobes: MAP_LOBES,
-            convention: MapConvention::default(),
+            convention: Default::default(),
             upper_hemisphere: false,
             white: false,
         },

@@ -61,12 +61,13 @@ pub trait Bar: Send + Sync {
 }
 
 /// A [`Progress`] that passes everything on, and keeps lines of result and notes for the run's record.
-pub(crate) struct RecordedMessages<'a> {
+pub struct RecordedMessages<'a> {
     to: &'a dyn Progress,
     lines: RefCell<Vec<String>>,
 }
 
 impl<'a> RecordedMessages<'a> {
+    /// Passes on `to` another.
     pub fn new(to: &'a dyn Progress) -> Self {
         Self { to, lines: RefCell::default() }
     }

@@ -4,7 +4,6 @@
 mod plot;
 
 use crate::report::scores::{PassScores, Scaling, Scores, ViewScores};
-use crate::report::tone::{LARGEST_ERROR, heat_color};
 use indexmap::IndexSet;
 use lobelia_geometry::error::{Error, Result};
 use plot::{Series, svg};
@@ -109,6 +108,8 @@ pub(crate) const MOST_RUNS: usize = 8;
 const PAGE: &str = include_str!("assets/report.html");
 const STYLE: &str = include_str!("assets/report.css");
 const SCRIPT: &str = include_str!("assets/report.js");
+/// The scale of error maps, as `heat_color` has it.
+const SCALE: &str = include_str!("assets/scale.html");
 
 /// The page of one run, or of several side by side; the first one is what the others are compared with.
 ///
@@ -153,9 +154,6 @@ pub fn html(runs: &[RunReport]) -> Result<String> {
 }
 
 /// A page with values in its slots, which come in this order: one pass over the page, so that nothing of the values is taken for a slot.
-///
-/// # Errors
-/// [`Error::Run`] if the page lacks a slot.
 pub(crate) fn filled(page: &str, slots: &[(&str, String)]) -> Result<String> {
     let mut text = String::new();
     let mut rest = page;
@@ -172,20 +170,10 @@ pub(crate) fn filled(page: &str, slots: &[(&str, String)]) -> Result<String> {
 
 /// Text inside an element or an attribute with quotes around it; what no document may hold (control characters) is left out.
 pub fn escaped(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => escaped += "&amp;",
-            '<' => escaped += "&lt;",
-            '>' => escaped += "&gt;",
-            '"' => escaped += "&quot;",
-            '\'' => escaped += "&#39;",
-            '\n' | '\t' => escaped.push(c),
-            c if c.is_control() => {}
-            c => escaped.push(c),
-        }
-    }
-    escaped
+    let kept: String = text.chars().filter(|c| ['\n', '\t'].contains(c) || !c.is_control()).collect();
+    // The ampersand first: those of the others stay.
+    let marks = [('&', "&amp;"), ('<', "&lt;"), ('>', "&gt;"), ('"', "&quot;"), ('\'', "&#39;")];
+    marks.into_iter().fold(kept, |text, (mark, written)| text.replace(mark, written))
 }
 
 /// What stands in a cell without a value.
@@ -228,8 +216,10 @@ fn table(class: &str, caption: &str, head: &str, rows: &str) -> String {
     )
 }
 
-fn head_cells(names: impl Iterator<Item = String>) -> String {
-    names.map(|name| format!("<th scope=\"col\">{name}</th>")).collect()
+/// The head of a table, of columns with these names as markup.
+fn head(first: &str, names: impl Iterator<Item = String>) -> String {
+    let names: String = names.map(|name| format!("<th scope=\"col\">{name}</th>")).collect();
+    format!("<thead><tr>{first}{names}</tr></thead>\n")
 }
 
 fn cells(cells: impl Iterator<Item = String>) -> String {
@@ -244,10 +234,7 @@ fn by_run(runs: &[RunReport], caption: &str, rows: Vec<Row>) -> String {
     if rows.is_empty() {
         return String::new();
     }
-    let head = if_several(runs, || {
-        let names = head_cells((0..runs.len()).map(|i| run_name(runs, i)));
-        format!("<thead><tr><td></td>{names}</tr></thead>\n")
-    });
+    let head = if_several(runs, || head("<td></td>", (0..runs.len()).map(|i| run_name(runs, i))));
     let rows = rows.into_iter().map(|(heading, row)| {
         format!("<tr><th scope=\"row\">{}</th>{}</tr>\n", escaped(&heading), cells(row.into_iter()))
     });
@@ -260,9 +247,8 @@ fn named_rows(runs: &[RunReport], values: impl Fn(&RunReport) -> Vec<(String, St
     let names: IndexSet<&String> = values.iter().flatten().map(|(name, _)| name).collect();
     let row = |wanted: &String| {
         let cell = |of: &Vec<(String, String)>| {
-            of.iter()
-                .find(|(name, _)| name == wanted)
-                .map_or_else(|| NOTHING.into(), |(_, cell)| cell.clone())
+            let found = of.iter().find(|(name, _)| name == wanted);
+            found.map_or_else(|| NOTHING.into(), |(_, cell)| cell.clone())
         };
         (wanted.clone(), values.iter().map(cell).collect())
     };
@@ -315,15 +301,15 @@ fn scores(runs: &[RunReport]) -> String {
     let srgb = "Passes against photographs and other pictures of encoded colors, in sRGB: over the mask, and over all pixels on white and on black";
     let orb =
         "Passes as Stanford-ORB scores them: each picture scaled by itself, the mask eroded by two pixels";
-    let tables = pass_table(runs, linear, &LINEAR, true)
-        + &pass_table(runs, srgb, &SRGB, false)
-        + &pass_table(runs, orb, &ORB, false);
     let whole = WHOLE.iter().filter(|(.., of)| runs.iter().any(|run| of(&run.scores).is_some()));
     let row = |(heading, unit, of): &Score<Scores>| {
         let cell = |i| cell(runs, i, *unit, |run| of(&run.scores));
         ((*heading).to_owned(), (0..runs.len()).map(cell).collect())
     };
-    let text = tables + &by_run(runs, "The object as a whole", whole.map(row).collect());
+    let text = pass_table(runs, linear, &LINEAR, true)
+        + &pass_table(runs, srgb, &SRGB, false)
+        + &pass_table(runs, orb, &ORB, false)
+        + &by_run(runs, "The object as a whole", whole.map(row).collect());
     if text.is_empty() {
         return text;
     }
@@ -333,12 +319,8 @@ fn scores(runs: &[RunReport]) -> String {
 }
 
 /// A score of run `i`, and its difference from that of the first run.
-fn cell(
-    runs: &[RunReport],
-    i: usize,
-    Unit(digits, better): Unit,
-    of: impl Fn(&RunReport) -> Option<f64>,
-) -> String {
+fn cell(runs: &[RunReport], i: usize, unit: Unit, of: impl Fn(&RunReport) -> Option<f64>) -> String {
+    let Unit(digits, better) = unit;
     let Some(value) = of(&runs[i]) else { return NOTHING.to_owned() };
     let shown = format!("{value:.digits$}");
     let Some(first) = of(&runs[0]).filter(|_| i > 0) else { return shown };
@@ -364,80 +346,55 @@ fn pass_table(runs: &[RunReport], caption: &str, columns: &[Score<PassScores>], 
     }
     let mut rows = String::new();
     for name in names {
-        for i in 0..runs.len() {
-            let (class, head) = if i == 0 {
-                let count = runs.len();
-                let head = format!("<th scope=\"rowgroup\" rowspan=\"{count}\">{}</th>", escaped(name));
-                (" class=\"first\"", head)
-            } else {
-                ("", String::new())
+        let count = runs.len();
+        let mut start =
+            format!("<tr class=\"first\"><th scope=\"rowgroup\" rowspan=\"{count}\">{}</th>", escaped(name));
+        for (i, run) in runs.iter().enumerate() {
+            let score = |of: fn(&PassScores) -> Option<f64>| {
+                move |run: &RunReport| run.scores.passes.get(name).and_then(of)
             };
-            let scores = columns
-                .iter()
-                .map(|(_, unit, of)| cell(runs, i, *unit, |run| run.scores.passes.get(name).and_then(of)));
-            let factors = || runs[i].scores.passes.get(name).map_or_else(|| NOTHING.to_owned(), scale_words);
+            let scores = columns.iter().map(|(_, unit, of)| cell(runs, i, *unit, score(*of)));
+            let factors = || run.scores.passes.get(name).map_or_else(|| NOTHING.to_owned(), scale_words);
             let scores = cells(scores.chain(scale.then(factors)));
             let run_cell = if_several(runs, || format!("<td>{}</td>", run_name(runs, i)));
-            rows += &format!("<tr{class}>{head}{run_cell}{scores}</tr>\n");
+            rows += &format!("{start}{run_cell}{scores}</tr>\n");
+            start = "<tr>".to_owned();
         }
     }
     let columns = columns.iter().map(|(name, ..)| *name).chain(scale.then_some("scale removed"));
     let heads = ["pass"].into_iter().chain((runs.len() > 1).then_some("run")).chain(columns);
-    let head = format!("<thead><tr>{}</tr></thead>\n", head_cells(heads.map(str::to_owned)));
-    table(" class=\"numbers\"", caption, &head, &rows)
+    table(" class=\"numbers\"", caption, &head("", heads.map(str::to_owned)), &rows)
 }
 
 /// The factors that were taken out before scoring.
 fn scale_words(scores: &PassScores) -> String {
     let words = |[r, g, b]: [f64; 3]| format!("{r:.3}, {g:.3}, {b:.3}");
+    let factors = words(scores.scale);
     match (scores.scaling, scores.scale_specular) {
         (Scaling::None, _) => "none".to_owned(),
-        (Scaling::PerView, _) => format!("of each view; mean {}", words(scores.scale)),
-        (Scaling::PerLayer, Some(specular)) => {
-            format!("diffuse {}; specular {}", words(scores.scale), words(specular))
-        }
-        _ => words(scores.scale),
+        (Scaling::PerView, _) => format!("of each view; mean {factors}"),
+        (Scaling::PerLayer, Some(specular)) => format!("diffuse {factors}; specular {}", words(specular)),
+        _ => factors,
     }
 }
 
 /// Views of a pass that are shown at once; the others are folded.
 const UNFOLDED: usize = 12;
-/// Errors with a number on the scale.
-const TICKS: [f32; 5] = [0.0, 0.01, 0.05, 0.1, LARGEST_ERROR];
-
 /// The views of all passes that rendered, below the scale of their error maps.
 fn views(runs: &[RunReport]) -> String {
     let all = || runs.iter().flat_map(|run| &run.views);
     let passes: IndexSet<&str> = all().map(|views| views.pass.as_str()).collect();
     let text: String = passes.iter().map(|pass| pass_views(runs, pass)).collect();
-    if !all().flat_map(|pass| &pass.views).any(|view| view.error.is_some()) {
-        return text;
-    }
-    let stop = |i: u8| {
-        let [r, g, b] = heat_color(f32::from(i) / 8.0);
-        format!("rgb({r} {g} {b}) {:.1}%", f32::from(i) * 12.5)
-    };
-    let tick = |tick: &f32| {
-        format!("<span style=\"left:{:.1}%\">{tick}</span>", 100.0 * (tick / LARGEST_ERROR).sqrt())
-    };
-    format!(
-        "<p class=\"note\">Worst views first. A view opens under a wipe. Errors are means of |R|, |G|, |B| differences of linear values in [0, 1], \
-         on one scale for all pictures:</p>\n<div class=\"scale\" role=\"img\" aria-label=\"Color scale of errors, from 0 (black) to {LARGEST_ERROR} (pale yellow)\">\
-         <div style=\"background:linear-gradient(90deg,{})\"></div>{}</div>\n{text}",
-        (0..=8).map(stop).collect::<Vec<_>>().join(","),
-        TICKS.iter().map(tick).collect::<String>()
-    )
+    let has_errors = all().flat_map(|pass| &pass.views).any(|view| view.error.is_some());
+    if has_errors { SCALE.to_owned() + &text } else { text }
 }
-
 /// A view as one of the runs has it, with its scores there.
 type RunView<'a> = (Option<&'a ViewReport>, Option<&'a ViewScores>);
 
 /// The views of a pass that any run has, the worst first: by the score of the first run that has one.
-fn pass_views(runs: &[RunReport], pass: &str) -> String {
-    let of_runs: Vec<(Option<&PassViews>, Option<&PassScores>)> = runs
-        .iter()
-        .map(|run| (run.views.iter().find(|views| views.pass == pass), run.scores.passes.get(pass)))
-        .collect();
+fn pass_views<'a>(runs: &'a [RunReport], pass: &str) -> String {
+    let of = |run: &'a RunReport| (run.views.iter().find(|of| of.pass == pass), run.scores.passes.get(pass));
+    let of_runs: Vec<(Option<&PassViews>, Option<&PassScores>)> = runs.iter().map(of).collect();
     let all = || of_runs.iter().filter_map(|(views, _)| *views).flat_map(|views| &views.views);
     let names: IndexSet<&str> = all().map(|view| view.name.as_str()).collect();
     // Scored against photographs, if the run has scores of sRGB values.
@@ -485,8 +442,7 @@ fn card(runs: &[RunReport], pass: &str, name: &str, of_runs: &[RunView], truth: 
     };
     let true_picture = of_runs.iter().find_map(|(view, _)| (*view)?.truth.as_ref());
     let rows = if runs.len() > 1 && true_picture.is_some() { " several" } else { "" };
-    let mut parts: String =
-        true_picture.map(|address| part("t", truth.to_owned(), address)).into_iter().collect();
+    let mut parts = true_picture.map_or(String::new(), |address| part("t", truth.to_owned(), address));
     let mut lines = String::new();
     for (i, (view, scores)) in of_runs.iter().enumerate() {
         let of = if_several(runs, || format!("{}: ", escaped(&runs[i].name)));
@@ -517,15 +473,18 @@ fn lead(runs: &[RunReport]) -> String {
         }
     }
     let [RunReport { scores, .. }] = runs else { return text };
-    let tile = |name: &str, value: String| format!("<div><dt>{}</dt><dd>{value}</dd></div>", escaped(name));
-    let passes = scores.passes.iter().map(|(name, s)| tile(name, format!("{:.1} <small>dB</small>", s.psnr)));
     let whole = [
-        scores.albedo_psnr.map(|v| tile("albedo", format!("{v:.1} <small>dB</small>"))),
-        scores.normal_deg.map(|v| tile("normals", format!("{v:.2}<small>°</small>"))),
-        scores.fit_secs.map(|v| tile("fit", format!("{v:.0} <small>s</small>"))),
-        scores.peak_rss_mib.map(|v| tile("memory", format!("{v:.0} <small>MiB</small>"))),
+        ("albedo", scores.albedo_psnr, 1, " <small>dB"),
+        ("normals", scores.normal_deg, 2, "<small>°"),
+        ("fit", scores.fit_secs, 0, " <small>s"),
+        ("memory", scores.peak_rss_mib, 0, " <small>MiB"),
     ];
-    let tiles: String = passes.chain(whole.into_iter().flatten()).collect();
+    let passes = scores.passes.iter().map(|(name, s)| (name.as_str(), Some(s.psnr), 1, " <small>dB"));
+    let tile = |(name, value, digits, unit): (&str, Option<f64>, usize, &str)| {
+        let value = value?;
+        Some(format!("<div><dt>{}</dt><dd>{value:.digits$}{unit}</small></dd></div>", escaped(name)))
+    };
+    let tiles: String = passes.chain(whole).filter_map(tile).collect();
     if tiles.is_empty() { text } else { format!("{text}<dl class=\"tiles\">{tiles}</dl>") }
 }
 
@@ -546,8 +505,7 @@ fn pictures(runs: &[RunReport]) -> String {
     if figures.is_empty() { figures } else { format!("<div class=\"pictures\">\n{figures}</div>\n") }
 }
 
-/// Plots of a log: title, whether the axis is logarithmic, and the columns, of which the mean
-/// counts.
+/// Plots of a log: title, whether the axis is logarithmic, and the columns, of which the mean counts.
 const PLOTS: [(&str, bool, &[&str]); 5] = [
     ("Loss", true, &["loss"]),
     ("PSNR of training pixels, dB", false, &["psnr"]),
@@ -562,12 +520,9 @@ fn curves(runs: &[RunReport]) -> String {
     let several = runs.len() > 1;
     let logs = || {
         runs.iter().enumerate().flat_map(move |(i, run)| {
-            run.logs.iter().enumerate().map(move |(k, log)| {
-                if several {
-                    (i, format!("{}, {}", run.name, log.pass), log)
-                } else {
-                    (k, log.pass.clone(), log)
-                }
+            run.logs.iter().enumerate().map(move |(k, log)| match several {
+                true => (i, format!("{}, {}", run.name, log.pass), log),
+                false => (k, log.pass.clone(), log),
             })
         })
     };
@@ -576,7 +531,7 @@ fn curves(runs: &[RunReport]) -> String {
             let series = logs().filter_map(|(color, name, log)| {
                 Some(Series { name, color, points: points(log, column, columns)? })
             });
-            svg(title, label, *logarithmic, series)
+            svg(title, label, *logarithmic, series.collect())
         };
         PLOTS.iter().map(chart).collect()
     };
@@ -584,30 +539,29 @@ fn curves(runs: &[RunReport]) -> String {
     if steps.is_empty() {
         return String::new();
     }
-    let choice = |id: &str, label: &str, checked: &str| {
-        format!("<label><input type=\"radio\" name=\"over\" id=\"{id}\"{checked}> over {label}</label>")
-    };
+    let [over_steps, over_seconds] = [("steps", " checked"), ("seconds", "")].map(|(over, checked)| {
+        format!("<label><input type=\"radio\" name=\"over\" id=\"over-{over}\"{checked}> over {over}</label>")
+    });
     let names: Vec<&String> = match runs {
         [run] => run.logs.iter().map(|log| &log.pass).collect(),
         _ => runs.iter().map(|run| &run.name).collect(),
     };
-    let entry =
-        |(i, name): (usize, &&String)| format!("<span><i class=\"mark c{i}\"></i>{}</span>", escaped(name));
-    let legend: String = names.iter().enumerate().map(entry).collect();
-    let legend = if names.len() > 1 { format!("<p class=\"legend\">{legend}</p>") } else { String::new() };
+    let mut legend = String::new();
+    if names.len() > 1 {
+        let names = names.into_iter().map(|name| escaped(name)).enumerate();
+        let entries = names.map(|(i, name)| format!("<span><i class=\"mark c{i}\"></i>{name}</span>"));
+        legend = format!("<p class=\"legend\">{}</p>", entries.collect::<String>());
+    }
     format!(
-        "<div class=\"curves\"><div class=\"choice\" role=\"radiogroup\" aria-label=\"Horizontal axis\">{}{}</div>{legend}\n\
-         <div class=\"charts steps\">\n{steps}</div>\n<div class=\"charts seconds\">\n{seconds}</div></div>\n",
-        choice("over-steps", "steps", " checked"),
-        choice("over-seconds", "seconds", "")
+        "<div class=\"curves\"><div class=\"choice\" role=\"radiogroup\" aria-label=\"Horizontal axis\">{over_steps}{over_seconds}</div>{legend}\n\
+         <div class=\"charts steps\">\n{steps}</div>\n<div class=\"charts seconds\">\n{seconds}</div></div>\n"
     )
 }
 
 /// The mean of columns over another; `None` if the log lacks one.
 fn points(log: &FitLog, across: &str, columns: &[&str]) -> Option<Vec<[f64; 2]>> {
     let columns: Vec<&[f64]> = columns.iter().map(|name| log.column(name)).collect::<Option<_>>()?;
-    let mean =
-        |i: usize| columns.iter().filter_map(|column| column.get(i)).sum::<f64>() / columns.len() as f64;
+    let mean = |i: usize| columns.iter().filter_map(|of| of.get(i)).sum::<f64>() / columns.len() as f64;
     Some(log.column(across)?.iter().enumerate().map(|(i, x)| [*x, mean(i)]).collect())
 }
 
@@ -615,8 +569,8 @@ fn points(log: &FitLog, across: &str, columns: &[&str]) -> Option<Vec<[f64; 2]>>
 fn findings(runs: &[RunReport]) -> String {
     let cell = |FitFinding { what, value, color }: &FitFinding| {
         let swatch =
-            |[r, g, b]: [u8; 3]| format!("<i class=\"swatch\" style=\"background:rgb({r} {g} {b})\"></i>");
-        (what.clone(), color.map(swatch).unwrap_or_default() + &escaped(value))
+            color.map(|[r, g, b]| format!("<i class=\"swatch\" style=\"background:rgb({r} {g} {b})\"></i>"));
+        (what.clone(), swatch.unwrap_or_default() + &escaped(value))
     };
     let rows = named_rows(runs, |run| run.findings.iter().map(cell).collect());
     by_run(runs, "As the fits left it", rows)

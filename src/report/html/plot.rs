@@ -31,11 +31,8 @@ struct Axis {
 impl Axis {
     /// An axis with all `values`; `None` without any.
     fn around(values: impl Iterator<Item = f64>, logarithmic: bool) -> Option<Self> {
-        let (low, high) =
-            values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
-        if low > high {
-            return None;
-        }
+        let ends = values.map(|value| (value, value));
+        let (low, high) = ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
         let (low, high) = match (logarithmic, low < high) {
             (_, true) => (low, high),
             (true, false) => (low / 2.0, high * 2.0),
@@ -57,8 +54,8 @@ impl Axis {
 fn round_steps(low: f64, high: f64) -> Vec<f64> {
     let rough = (high - low) / 5.0;
     let decade = 10f64.powf(rough.log10().floor());
-    let step =
-        [1.0, 2.0, 5.0, 10.0].map(|m| m * decade).into_iter().find(|step| *step >= rough).unwrap_or(rough);
+    let steps = [1.0, 2.0, 5.0, 10.0].map(|m| m * decade);
+    let step = steps.into_iter().find(|step| *step >= rough).unwrap_or(rough);
     let first = (low / step).ceil() as i64;
     (first..first + 12).map(|i| i as f64 * step).take_while(|v| *v <= high + step * 1e-6).collect()
 }
@@ -81,21 +78,14 @@ fn short(value: f64) -> String {
 
 /// The chart of curves over a common axis as an SVG element; empty if no curve has a point. On a
 /// `logarithmic` vertical axis, values that are not positive are left out.
-pub(super) fn svg(
-    title: &str,
-    across_label: &str,
-    logarithmic: bool,
-    series: impl IntoIterator<Item = Series>,
-) -> String {
-    let mut series: Vec<Series> = series.into_iter().collect();
+pub(super) fn svg(title: &str, across_label: &str, logarithmic: bool, mut series: Vec<Series>) -> String {
     for curve in &mut series {
         curve.points.retain(|p| p.iter().all(|v| v.is_finite()) && (!logarithmic || p[1] > 0.0));
     }
     series.retain(|curve| !curve.points.is_empty());
-    let points = || series.iter().flat_map(|series| &series.points);
-    let axes =
-        (Axis::around(points().map(|p| p[0]), false), Axis::around(points().map(|p| p[1]), logarithmic));
-    let (Some(across), Some(up)) = axes else { return String::new() };
+    let all = |k: usize| series.iter().flat_map(|series| &series.points).map(move |point| point[k]);
+    let axes = Axis::around(all(0), false).zip(Axis::around(all(1), logarithmic));
+    let Some((across, up)) = axes else { return String::new() };
     let x_of = |value: f64| LEFT + across.place(value) * (WIDTH - LEFT - RIGHT);
     let y_of = |value: f64| TOP + (1.0 - up.place(value)) * (HEIGHT - TOP - BOTTOM);
     let (right, bottom) = (WIDTH - RIGHT, HEIGHT - BOTTOM);
@@ -147,7 +137,8 @@ mod tests {
     use super::*;
 
     fn chart(points: &[[f64; 2]], logarithmic: bool) -> String {
-        svg("loss", "steps", logarithmic, [Series { name: "a<b".into(), color: 1, points: points.to_vec() }])
+        let series = Series { name: "a<b".into(), color: 1, points: points.to_vec() };
+        svg("loss", "steps", logarithmic, vec![series])
     }
 
     #[test]

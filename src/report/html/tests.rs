@@ -1,17 +1,11 @@
 use super::*;
 use crate::report::published::SrgbScores;
+use crate::report::tone::{LARGEST_ERROR, heat_color};
 use indexmap::IndexMap;
 
 fn view_scores(name: &str, psnr: f64) -> ViewScores {
-    ViewScores {
-        name: name.into(),
-        psnr,
-        psnr_raw: psnr - 1.0,
-        ssim: 0.9,
-        scale: None,
-        srgb: None,
-        stanford_orb: None,
-    }
+    let (name, psnr_raw, scale, srgb, stanford_orb) = (name.into(), psnr - 1.0, None, None, None);
+    ViewScores { name, psnr, psnr_raw, ssim: 0.9, scale, srgb, stanford_orb }
 }
 
 fn view(name: &str) -> ViewReport {
@@ -38,6 +32,18 @@ fn fit_log() -> FitLog {
     FitLog { pass: "fit".into(), columns: columns.map(|name| (name.to_owned(), vec![1.0, 20.0])).to_vec() }
 }
 
+fn pass(name: &str, state: &str) -> PassReport {
+    PassReport { name: name.into(), state: state.into(), ..PassReport::default() }
+}
+
+fn picture(title: &str, address: &str) -> ReportPicture {
+    ReportPicture { title: title.into(), address: address.into() }
+}
+
+fn finding(what: &str, value: &str, color: Option<[u8; 3]>) -> FitFinding {
+    FitFinding { what: what.into(), value: value.into(), color }
+}
+
 fn run(name: &str, psnr: f64) -> RunReport {
     RunReport {
         name: name.into(),
@@ -45,29 +51,28 @@ fn run(name: &str, psnr: f64) -> RunReport {
         facts: vec![("seed".into(), "7".into())],
         scene_text: "Scene(version: 1)".into(),
         fields: vec![("version".into(), "1".into()), ("passes.fit.steps".into(), psnr.to_string())],
-        passes: vec![PassReport {
-            name: "fit".into(),
-            state: "finished".into(),
-            secs: Some(125.2),
-            ..PassReport::default()
-        }],
+        passes: vec![PassReport { secs: Some(125.2), ..pass("fit", "finished") }],
         scores: Scores {
             passes: IndexMap::from([("novel".into(), pass_scores(psnr))]),
             normal_deg: Some(psnr / 10.0),
             ..Scores::default()
         },
         logs: vec![fit_log()],
-        pictures: vec![ReportPicture {
-            title: "fit: albedo".into(),
-            address: "data:image/jpeg;base64,A".into(),
-        }],
+        pictures: vec![picture("fit: albedo", "data:image/jpeg;base64,A")],
         views: vec![PassViews { pass: "novel".into(), views: vec![view("good"), view("bad")], left_out: 0 }],
-        findings: vec![FitFinding {
-            what: "mean light".into(),
-            value: "1, 1, 1".into(),
-            color: Some([9, 8, 7]),
-        }],
+        findings: vec![finding("mean light", "1, 1, 1", Some([9, 8, 7]))],
         ..RunReport::default()
+    }
+}
+
+#[test]
+fn the_scale_shows_the_colors_of_errors() {
+    for i in 0..=8u8 {
+        let [r, g, b] = heat_color(f32::from(i) / 8.0);
+        has(SCALE, &[&format!("rgb({r} {g} {b}) {:.1}%", f32::from(i) * 12.5)]);
+    }
+    for tick in [0.0, 0.01, 0.05, 0.1, LARGEST_ERROR] {
+        has(SCALE, &[&format!("left:{:.1}%\">{tick}<", 100.0 * (tick / LARGEST_ERROR).sqrt())]);
     }
 }
 
@@ -87,18 +92,10 @@ fn has(text: &str, all: &[&str]) {
 #[test]
 fn a_run_is_one_page_with_all_parts() {
     let page = html(&[run("spot", 30.0)]).unwrap();
-    has(
-        &page,
-        &["<title>spot</title>", SIGNATURE, "s-finished\">finished<", "<dt>novel</dt><dd>30.0 <small>dB"],
-    );
-    has(
-        part(&page, "scores"),
-        &["<td>30.00</td><td>29.00</td><td>0.9500</td><td>none</td>", "in sRGB", "normal error, mean °"],
-    );
-    has(
-        part(&page, "views"),
-        &["photograph of view bad", "base64,badE", "28.00 dB, SSIM 0.9000", "novel: good"],
-    );
+    has(&page, &["<title>spot</title>", SIGNATURE, "s-finished\">finished<", "<dd>30.0 <small>dB"]);
+    let row = "<td>30.00</td><td>29.00</td><td>0.9500</td><td>none</td>";
+    has(part(&page, "scores"), &[row, "in sRGB", "normal error, mean °"]);
+    has(part(&page, "views"), &["photograph of view bad", "base64,badE", "28.00 dB, SSIM 0.9000"]);
     has(part(&page, "light"), &["base64,A", "fit: albedo"]);
     has(part(&page, "curves"), &["Loss", "PSNR of training pixels", "over seconds", "<polyline"]);
     has(part(&page, "found"), &["mean light", "rgb(9 8 7)"]);
@@ -119,10 +116,8 @@ fn runs_stand_side_by_side_with_differences() {
     second.scores.passes["novel"].ssim = 0.95;
     second.fields.push(("seed".into(), "3".into()));
     let page = html(&[first, second]).unwrap();
-    has(
-        part(&page, "scores"),
-        &["31.50 <small class=\"better\">(▲ +1.50)</small>", "0.9500 <small class=\"same\">(+0.0000)"],
-    );
+    let better = "31.50 <small class=\"better\">(▲ +1.50)</small>";
+    has(part(&page, "scores"), &[better, "0.9500 <small class=\"same\">(+0.0000)"]);
     has(part(&page, "scores"), &["3.150 <small class=\"worse\">(▼ +0.150)</small>", "rowspan=\"2\""]);
     let views = part(&page, "views");
     has(views, &["a: render of view bad", "b: error of view bad", "b: render of view new", "novel: new"]);
@@ -144,16 +139,14 @@ fn an_interrupted_run_has_a_report_of_what_there_is() {
         name: "x".into(),
         state: "failed".into(),
         error: Some("fit: no <pixels>".into()),
-        passes: vec![PassReport { name: "fit".into(), state: "failed".into(), ..PassReport::default() }],
+        passes: vec![pass("fit", "failed")],
         ..RunReport::default()
     };
     let page = html(&[empty]).unwrap();
     has(&page, &["fit: no &lt;pixels&gt;", "s-failed", "failed –"]);
     for missing in ["scores", "views", "light", "curves", "found", "scene", "run"] {
-        assert!(
-            !page.contains(&format!("id=\"{missing}\"")) && !page.contains(&format!("#{missing}\"")),
-            "{missing}"
-        );
+        let links = [format!("id=\"{missing}\""), format!("#{missing}\"")];
+        assert!(!links.iter().any(|link| page.contains(link)), "{missing}");
     }
 }
 
@@ -167,15 +160,10 @@ fn nothing_of_a_users_files_is_markup() {
     bad.scene_text = evil.into();
     bad.fields.push((evil.into(), evil.into()));
     bad.said = vec![evil.into()];
-    bad.passes.push(PassReport {
-        name: evil.into(),
-        state: evil.into(),
-        said: vec![evil.into()],
-        ..PassReport::default()
-    });
+    bad.passes.push(PassReport { said: vec![evil.into()], ..pass(evil, evil) });
     bad.logs[0].pass = evil.into();
-    bad.pictures.push(ReportPicture { title: evil.into(), address: evil.into() });
-    bad.findings.push(FitFinding { what: evil.into(), value: evil.into(), color: None });
+    bad.pictures.push(picture(evil, evil));
+    bad.findings.push(finding(evil, evil, None));
     bad.views.push(PassViews { pass: evil.into(), views: vec![view(evil)], left_out: 1 });
     let scores = bad.scores.passes["novel"].clone();
     bad.scores.passes.insert(evil.into(), PassScores { views: vec![view_scores(evil, 1.0)], ..scores });
