@@ -15,7 +15,7 @@
 //! | `strategy` | [`Strategy`] | – | `Combined` | sampling strategy; the others are for tests |
 
 use crate::shade::sampling::sobol::Sequence;
-use crate::shade::sampling::{SampleReal, Scattered, Scatterer, Strategy};
+use crate::shade::sampling::{Scattered, Scatterer, Strategy, above_zero};
 use glam::{DVec3, Vec3};
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_sg::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
@@ -277,7 +277,7 @@ impl Path<'_> {
         }
     }
 
-    fn scatterer(&self, point: &PathPoint, to_viewer: Vec3, depth: u32) -> Option<Scatterer<f32>> {
+    fn scatterer(&self, point: &PathPoint, to_viewer: Vec3, depth: u32) -> Option<Scatterer> {
         let picked = self.scene.specular.get(self.pick_material(point, depth)).and_then(Option::as_ref);
         let specular = picked.map(|lobe| (lobe.albedo.to_array(), lobe.facets()));
         Scatterer::new(point.normal.to_array(), to_viewer.to_array(), point.albedo.to_array(), specular)
@@ -302,19 +302,19 @@ impl Path<'_> {
     }
 
     /// Next event estimation: a direction sampled from the light, weighted by multiple importance sampling.
-    fn find_light(&mut self, vertex: &Vertex, scatterer: &Scatterer<f32>) {
+    fn find_light(&mut self, vertex: &Vertex, scatterer: &Scatterer) {
         let strategy = self.settings.strategy;
         if strategy == Strategy::BrdfOnly {
             return;
         }
         let drawn = self.scene.light.sample(self.uniforms(vertex.depth, DRAW_LIGHT));
-        if !drawn.pdf.above_zero() {
+        if !above_zero(drawn.pdf) {
             return;
         }
         let scattered = scatterer.evaluate(drawn.direction.to_array());
         let weight = strategy.light_weight(drawn.pdf, scattered.pdf) / drawn.pdf;
         let light = vertex.carry(&scattered).tinted(drawn.radiance).scaled(weight);
-        if !light.largest().above_zero() {
+        if !above_zero(light.largest()) {
             return;
         }
         self.rays += 1;
@@ -325,14 +325,14 @@ impl Path<'_> {
     }
 
     /// A direction sampled from the BRDF: adds its light, and returns the next vertex if the path may continue.
-    fn follow_brdf(&mut self, vertex: &Vertex, scatterer: &Scatterer<f32>) -> Option<(Vec3, Onward)> {
+    fn follow_brdf(&mut self, vertex: &Vertex, scatterer: &Scatterer) -> Option<(Vec3, Onward)> {
         let last = vertex.depth == self.settings.max_bounces;
         if last && self.settings.strategy == Strategy::LightOnly {
             return None;
         }
         let direction = scatterer.sample(self.uniforms(vertex.depth, DRAW_BRDF))?;
         let scattered = scatterer.evaluate(direction);
-        if !scattered.pdf.above_zero() {
+        if !above_zero(scattered.pdf) {
             return None;
         }
         let carried = vertex.carry(&scattered).scaled(scattered.pdf.recip());
@@ -401,7 +401,7 @@ struct Vertex {
 impl Vertex {
     /// The throughput to the viewer after scattering with BRDF times cosine `scattered`.
     #[inline]
-    fn carry(&self, scattered: &Scattered<f32>) -> Split {
+    fn carry(&self, scattered: &Scattered) -> Split {
         let (diffuse, specular) = (Vec3::from(scattered.diffuse), Vec3::from(scattered.specular));
         match self.carried {
             None => Split { diffuse, specular },

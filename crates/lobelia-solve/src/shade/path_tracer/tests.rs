@@ -1,8 +1,8 @@
 use super::*;
-use crate::shade::sampling::SingleLobe;
 use lobelia_sg::brdf::{Facets, Ndf, specular_affine};
 use lobelia_sg::ray::{LightSample, TexelAddress};
 use lobelia_world::light::LightLobe;
+use lobelia_world::light::illuminate::LobeLight;
 use std::f64::consts::PI;
 
 /// Light of one radiance from everywhere.
@@ -224,7 +224,7 @@ fn a_bowl_gathers_its_geometric_series() {
 fn every_strategy_has_the_same_mean() {
     let bowl = Shell { center: Vec3::ZERO, radius: 1.0, brim: 0.4, side: -1.0 };
     let lobe = LightLobe { axis: Vec3::new(0.28, 0.0, 0.96), sharpness: 4.0, amplitude: Vec3::ONE };
-    let light = SingleLobe::new(lobe);
+    let light = LobeLight::new(&[lobe]);
     let texels = [Shown(DiffuseAlbedo(Vec3::splat(0.5)))];
     let scene = scene(&bowl, &light, &texels, &GRAY_SPECULAR);
     let query = query(-Vec3::Z, Vec3::Z, Vec3::new(-0.5, 0.2, 0.7), texels[0].0.0);
@@ -247,7 +247,7 @@ fn every_strategy_has_the_same_mean() {
 /// The variance reported with an estimate is at least that of its spread, and of its order of magnitude.
 #[test]
 fn reported_variance_is_conservative() {
-    let light = SingleLobe::new(LightLobe { axis: Vec3::Y, sharpness: 3.0, amplitude: Vec3::ONE });
+    let light = LobeLight::new(&[LightLobe { axis: Vec3::Y, sharpness: 3.0, amplitude: Vec3::ONE }]);
     let scene = scene(&Empty, &light, &[], &GRAY_SPECULAR);
     let query = query(Vec3::ZERO, Vec3::Z, Vec3::new(0.0, -0.6, 0.8), Vec3::splat(0.5));
     let settings = PathSettings::default();
