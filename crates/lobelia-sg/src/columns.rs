@@ -246,9 +246,11 @@ impl<'a> Lighting<'a> {
         self.visibility.map(|all| all.chunk(index, count, self.lobes.stride()))
     }
 
+    /// Checks that the visibility fits so many points.
+    ///
     /// # Panics
     /// If there is a visibility, but not one for each of `points` points.
-    pub(crate) fn check(&self, points: usize) {
+    pub fn check(&self, points: usize) {
         if let Some(visibility) = &self.visibility {
             assert_eq!(visibility.points.len(), points, "one visibility per point");
             let rows = [0, points * self.lobes.stride()];

@@ -37,22 +37,6 @@ pub struct PointDerivatives<F, const NDF: usize = 1> {
 }
 
 impl<F: Real, const NDF: usize> PointTerms<F, NDF> {
-    /// Converts the terms to another number type, such as one value in every lane.
-    #[inline(always)]
-    pub fn map<G: Real>(&self, wide: impl Fn(F) -> G) -> PointTerms<G, NDF> {
-        let three = |v: Vec3Of<F>| [wide(v[0]), wide(v[1]), wide(v[2])];
-        PointTerms {
-            frame: [three(self.frame[0]), three(self.frame[1]), three(self.frame[2])],
-            view: [wide(self.view[0]), wide(self.view[1])],
-            shadowing: wide(self.shadowing),
-            ndf: self.ndf.map(|n| NdfTerms {
-                sharpness: wide(n.sharpness),
-                start: wide(n.start),
-                scale: wide(n.scale),
-            }),
-        }
-    }
-
     /// A world-space vector along tangent, bitangent and normal.
     #[inline(always)]
     pub(super) fn in_frame(&self, v: Vec3Of<F>) -> Vec3Of<F> {
@@ -179,16 +163,6 @@ impl<F: Real, const NDF: usize> PointSums<F, NDF> {
         for m in 0..NDF {
             self.ndf[m][0] += other.ndf[m][0];
             self.ndf[m][1] += other.ndf[m][1];
-        }
-    }
-
-    /// Converts the sums to another number type, such as a sum over lanes.
-    #[inline(always)]
-    pub fn map<G: Real>(&self, narrow: impl Fn(F) -> G) -> PointSums<G, NDF> {
-        PointSums {
-            normal: [narrow(self.normal[0]), narrow(self.normal[1])],
-            shadowing: narrow(self.shadowing),
-            ndf: self.ndf.map(|n| [narrow(n[0]), narrow(n[1])]),
         }
     }
 }

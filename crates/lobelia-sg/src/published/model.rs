@@ -4,9 +4,8 @@ use super::pair::{Pair, evaluate_prepared, pull_back_pair};
 use super::point::{FrozenBrdf, PointTerms, prepare_point, pull_back_normal};
 use super::sharp::{SHARPNESS_COLUMNS, SharpnessTerms};
 use crate::brdf::{SpecularAdjoint, SpecularValue};
-use crate::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response};
+use crate::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Response};
 use crate::real::{Real, Vec3Of, dot};
-use crate::sg::Dual;
 use crate::sg::Shape;
 
 /// The published SG shading formulas (PhySG's `render_with_sg`), always with one SG for the NDF, whatever the NDF of the material.
@@ -45,9 +44,6 @@ fn response<F: Real>(pair: &Pair<F>) -> Response<F, [F; 1]> {
     Response { diffuse: pair.diffuse.value, specular: [pair.specular] }
 }
 
-/// Why a method of [`PairModel`] is not called.
-const NO_NODES: &str = "published shading culls nothing and has no nodes";
-
 impl PairModel for Published {
     const CULLS: bool = false;
     type Point<F: Copy> = [F; 8];
@@ -79,58 +75,6 @@ impl PairModel for Published {
     fn specular_weights(&self, frozen: &[f32; 8], specular: &SpecularValue) -> [Vec3Of<f32>; 1] {
         let brdf = FrozenBrdf::from_array(*frozen);
         [specular.albedo.map(|s| brdf.constant + brdf.slope * s)]
-    }
-
-    #[inline(always)]
-    fn reach<F: Real>(&self, point: &[F; 8]) -> Reach<F> {
-        let point = PointTerms::from_array(*point);
-        let sharpness = point.warp_sharpness;
-        Reach { axis: point.mirror, sharpness, brightest: sharpness.lit(1e30) }
-    }
-
-    fn irradiance<F: Real>(&self, _point: &[F; 8], _shape: &Shape<F>, _lobe: &Self::Lobe<F>) -> Dual<F> {
-        unreachable!("{NO_NODES}")
-    }
-
-    fn place_smooth<F: Real>(&self, _point: &[F; 8], _shape: &Shape<F>, _width: F, _irradiance: Dual<F>) {
-        unreachable!("{NO_NODES}")
-    }
-
-    fn place_two_smooth<F: Real>(
-        &self,
-        _point: &[F; 8],
-        _shapes: [&Shape<F>; 2],
-        _widths: [F; 2],
-        _irradiances: [Dual<F>; 2],
-    ) -> [(); 2] {
-        unreachable!("{NO_NODES}")
-    }
-
-    fn place<F: Real, const PART: Part>(&self, _point: &[F; 8], _shape: &Shape<F>) {
-        unreachable!("{NO_NODES}")
-    }
-
-    fn place_two<F: Real, const PART: Part>(&self, _point: &[F; 8], _shapes: [&Shape<F>; 2]) -> [(); 2] {
-        unreachable!("{NO_NODES}")
-    }
-
-    fn specular<F: Real, const PART: Part>(
-        &self,
-        _point: &[F; 8],
-        _shape: &Shape<F>,
-        _placed: &(),
-    ) -> [F; 1] {
-        unreachable!("{NO_NODES}")
-    }
-
-    fn pull_back_specular<F: Real, const PART: Part>(
-        &self,
-        _point: &[F; 8],
-        _shape: &Shape<F>,
-        _placed: &(),
-        _adjoint: &[F; 1],
-    ) -> ([F; 1], PairAdjoint<F, Self::Sums<F>>) {
-        unreachable!("{NO_NODES}")
     }
 
     #[inline(always)]

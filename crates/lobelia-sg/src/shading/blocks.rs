@@ -126,12 +126,20 @@ pub fn exponent_limits(lobes: &LobeColumns) -> impl Fn(usize) -> f32 {
     }
 }
 
-/// The inputs that all points share.
+/// The inputs that all points share; without a model, the formulas are not chosen yet.
+#[derive(Clone, Copy)]
 pub struct Shared<'a, M> {
     pub model: M,
+    /// The specular material.
     pub specular: &'a SpecularValue,
     /// Blocks of [`block_rows`] rows.
     pub lobes: &'a [Row],
+}
+
+impl<'a> Shared<'a, ()> {
+    pub(super) fn by<M>(self, model: M) -> Shared<'a, M> {
+        Shared { model, specular: self.specular, lobes: self.lobes }
+    }
 }
 
 impl<M: PairModel> Shared<'_, M> {
