@@ -5,26 +5,25 @@ use crate::shade::device::{ShadingDevice, failed, loops_of};
 use crate::shade::path_tracer::{PathEstimate, PathPoint, PathQuery, PathScene, PathSettings, shade_points};
 use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res};
-use bevy_ecs::schedule::ScheduleConfigs;
-use bevy_ecs::system::ScheduleSystem;
+use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::{Mat3, Vec3};
 use lobelia_geometry::error::Error;
 use lobelia_sg::shading::{
     ClosedForm, Layers, Lighting, LobeVisibility, PointVisibility, ShadeCall, ShadePoint, SpecularValue,
 };
-use lobelia_world::light::lights::IncidentLight;
 use lobelia_world::material::material_source::{
     BaseMaterials, ColumnOf, Holds, MaterialSource, MaterialTexels, ShownMaterial,
 };
-use lobelia_world::material::tilt::DirectionalAlbedo;
 use lobelia_world::material::{
     DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, Texels,
 };
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::Columns;
 use lobelia_world::sample::pixel::{PixelOf, SampleIndex, ViewRay};
 use lobelia_world::sample::point::{PointBlend, Scenery, SurfacePoint};
 use lobelia_world::sample::{LightRotations, Samples};
+use lobelia_world::{
+    light::lights::IncidentLight, material::tilt::DirectionalAlbedo, pipeline::SystemResult,
+    pipeline::pool::Columns,
+};
 use rayon::prelude::*;
 
 /// Settings of path tracing.

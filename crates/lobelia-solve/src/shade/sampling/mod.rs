@@ -186,43 +186,10 @@ impl Scatterer {
     }
 }
 
-/// Sampling strategy for incident light; all three have the same expected value.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Strategy {
-    /// Both, weighted by the power heuristic (Veach and Guibas 1995): for rendering.
-    #[default]
-    Combined,
-    /// Directions drawn from the light only: for checking.
-    LightOnly,
-    /// Directions drawn from the BRDF only: for checking.
-    BrdfOnly,
-}
-
-impl Strategy {
-    /// Weight of a direction drawn from the light with density `light`, which the BRDF would draw with density `brdf`.
-    #[inline]
-    pub fn light_weight(self, light: f32, brdf: f32) -> f32 {
-        match self {
-            Self::Combined => power_heuristic(light, brdf),
-            Self::LightOnly => 1.0,
-            Self::BrdfOnly => 0.0,
-        }
-    }
-
-    /// Weight of a direction drawn from the BRDF with density `brdf`, which the light would draw with density `light`.
-    #[inline]
-    pub fn brdf_weight(self, light: f32, brdf: f32) -> f32 {
-        match self {
-            Self::Combined => power_heuristic(brdf, light),
-            Self::LightOnly => 0.0,
-            Self::BrdfOnly => 1.0,
-        }
-    }
-}
-
-/// own²/(own² + other²), computed from the ratio so that no square overflows; `own` > 0.
+/// The power heuristic (Veach and Guibas 1995), the weight of a direction drawn with density `own` > 0, which another strategy would draw with
+/// density `other`: own²/(own² + other²), computed from the ratio so that no square overflows.
 #[inline]
-fn power_heuristic(own: f32, other: f32) -> f32 {
+pub fn power_heuristic(own: f32, other: f32) -> f32 {
     if other > own {
         let ratio = own / other;
         ratio * ratio / (ratio * ratio + 1.0)
@@ -292,8 +259,8 @@ mod tests {
     #[test]
     fn heuristic_weights_sum_to_one() {
         for (a, b) in [(1.0, 2.0), (1e-30, 1e-25), (3.0, 0.0), (1e30, 1e20)] {
-            let light = Strategy::Combined.light_weight(a, b);
-            let brdf = if b > 0.0 { Strategy::Combined.brdf_weight(a, b) } else { 0.0 };
+            let light = power_heuristic(a, b);
+            let brdf = if b > 0.0 { power_heuristic(b, a) } else { 0.0 };
             assert!((0.0..=1.0).contains(&light), "{light}");
             assert!((light + brdf - 1.0).abs() < 1e-6, "{light} {brdf}");
         }
