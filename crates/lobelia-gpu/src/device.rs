@@ -1,7 +1,6 @@
 //! Adapters, the device, and the cached state of calls.
 
-use crate::buffers::Buffers;
-use crate::kernels::Pipelines;
+use crate::{buffers::Buffers, kernels::Pipelines};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, Waker};
 
@@ -64,14 +63,10 @@ fn computes(adapter: &wgpu::Adapter) -> bool {
 }
 
 /// Software comes last.
-fn rank(adapter: &wgpu::Adapter) -> u8 {
-    match adapter.get_info().device_type {
-        wgpu::DeviceType::DiscreteGpu => 0,
-        wgpu::DeviceType::IntegratedGpu => 1,
-        wgpu::DeviceType::VirtualGpu => 2,
-        wgpu::DeviceType::Other => 3,
-        wgpu::DeviceType::Cpu => 4,
-    }
+fn rank(adapter: &wgpu::Adapter) -> Option<usize> {
+    use wgpu::DeviceType::{Cpu, DiscreteGpu, IntegratedGpu, Other, VirtualGpu};
+    let kind = adapter.get_info().device_type;
+    [DiscreteGpu, IntegratedGpu, VirtualGpu, Other, Cpu].iter().position(|known| *known == kind)
 }
 
 /// The output of a future of wgpu, which is ready at once everywhere but in a browser.

@@ -2,10 +2,8 @@
 
 use super::whole::Whole;
 use crate::Gpu;
-use lobelia_sg::accurate::ACCURATE_DEFAULT;
-use lobelia_sg::brdf::Ndf;
-use lobelia_sg::sg::Lobe;
 use lobelia_sg::shading::*;
+use lobelia_sg::{accurate::ACCURATE_DEFAULT, brdf::Ndf, sg::Lobe};
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
 /// A batch and its visibility.

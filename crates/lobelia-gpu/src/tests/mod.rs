@@ -3,14 +3,10 @@
 mod batch;
 mod whole;
 
-use crate::Gpu;
-use crate::device::NO_ADAPTER;
-use crate::shade::MOST_LOBES;
+use crate::{Gpu, device::NO_ADAPTER, shade::MOST_LOBES};
 use batch::{Batch, Results};
-use lobelia_sg::accurate::Quality;
-use lobelia_sg::brdf::Ndf;
 use lobelia_sg::shading::{ClosedForm, Layers, Lighting, PairLoops, ShadeCall, SpecularValue};
-use lobelia_sg::workload::Workload;
+use lobelia_sg::{accurate::Quality, brdf::Ndf, workload::Workload};
 use std::sync::OnceLock;
 
 const FORMS: [ClosedForm; 2] = [ClosedForm::Published, ClosedForm::Accurate(Quality::Default)];
