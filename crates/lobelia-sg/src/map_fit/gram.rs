@@ -35,15 +35,8 @@ impl Gram {
     }
 }
 
-/// Mean over the sphere of the product of two unit-amplitude SGs: an SG of sharpness L = |λ₁ξ₁ + λ₂ξ₂| and amplitude
-/// e^(L − λ₁ − λ₂).
-pub fn mean_product(a: DVec3, sharpness_a: f64, b: DVec3, sharpness_b: f64) -> f64 {
-    let (product, _) = product_of(a, sharpness_a, b, sharpness_b);
-    product
-}
-
-/// The mean of the product, and v.
-fn product_of(a: DVec3, sharpness_a: f64, b: DVec3, sharpness_b: f64) -> (f64, DVec3) {
+/// Mean over the sphere of the product of two unit-amplitude SGs, an SG of sharpness L = |v| and amplitude e^(L − λ₁ − λ₂); and v.
+pub fn mean_product(a: DVec3, sharpness_a: f64, b: DVec3, sharpness_b: f64) -> (f64, DVec3) {
     let v = a * sharpness_a + b * sharpness_b;
     let (length, sum) = (v.length(), sharpness_a + sharpness_b);
     // L − λ₁ − λ₂, without the cancellation: (λ₁ + λ₂)² − L² = λ₁λ₂|ξ₁ − ξ₂|².
@@ -68,7 +61,7 @@ fn mean_over_length(length: f64) -> f64 {
 
 fn inner_products(a: &FitLobe, b: &FitLobe) -> Block {
     let [axis_a, axis_b] = [a, b].map(|lobe| DVec3::from_array(lobe.axis));
-    let (product, v) = product_of(axis_a, a.sharpness, axis_b, b.sharpness);
+    let (product, v) = mean_product(axis_a, a.sharpness, axis_b, b.sharpness);
     if product == 0.0 {
         return [[0.0; 4]; 4];
     }
@@ -133,8 +126,7 @@ mod tests {
                 }
             }
         }
-        let far = mean_product(DVec3::Y, 500.0, DVec3::NEG_Y, 500.0);
-        assert_eq!(far, 0.0);
+        assert_eq!(mean_product(DVec3::Y, 500.0, DVec3::NEG_Y, 500.0).0, 0.0);
     }
 
     #[test]

@@ -1,9 +1,8 @@
 //! Steps of the map fit: Levenberg–Marquardt on all parameters, and amplitudes alone.
 
 use crate::linear::{cholesky, descend_nonnegative, solve_factored};
-use crate::map_fit::gram::Gram;
 use crate::map_fit::kernel::{Derivatives, FitLobe, Tile, derivatives};
-use crate::sg::sphere_integral;
+use crate::{map_fit::gram::Gram, sg::sphere_integral};
 use rayon::prelude::*;
 
 /// Bounds of the parameters of a lobe.
@@ -237,8 +236,7 @@ fn power_steps(matrix: &[f64], n: usize, own: &[f64], shining: &[usize], missing
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::envmap::EnvironmentMap;
-    use crate::map_fit::kernel::tiles_of;
+    use crate::{light::envmap::EnvironmentMap, map_fit::kernel::tiles_of};
     use glam::{DVec3, Vec3};
 
     fn lobes() -> Vec<FitLobe> {
