@@ -209,8 +209,8 @@ pub trait PairModel: Copy + Send + Sync {
         unreachable!("{CULLS_NOTHING}")
     }
 
-    /// Prepares the rule for a lobe for [`SMOOTH`], given its 1/√λ and the irradiance from it.
-    fn place_smooth<F: Real>(
+    /// Places the nodes of the specular part `PART` of a pair, given 1/√λ of the lobe, and for [`SMOOTH`] the irradiance from it.
+    fn place<F: Real, const PART: Part>(
         &self,
         _point: &Self::Point<F>,
         _shape: &Shape<F>,
@@ -220,27 +220,13 @@ pub trait PairModel: Copy + Send + Sync {
         unreachable!("{CULLS_NOTHING}")
     }
 
-    /// [`PairModel::place_smooth`] for two lobes together.
-    fn place_two_smooth<F: Real>(
-        &self,
-        _point: &Self::Point<F>,
-        _shapes: [&Shape<F>; 2],
-        _widths: [F; 2],
-        _irradiances: [Dual<F>; 2],
-    ) -> [Self::Placed<F>; 2] {
-        unreachable!("{CULLS_NOTHING}")
-    }
-
-    /// Places the nodes of the specular part `PART` of a pair.
-    fn place<F: Real, const PART: Part>(&self, _: &Self::Point<F>, _shape: &Shape<F>) -> Self::Placed<F> {
-        unreachable!("{CULLS_NOTHING}")
-    }
-
     /// [`PairModel::place`] for two pairs of a point together, which takes less time than one after the other.
     fn place_two<F: Real, const PART: Part>(
         &self,
         _point: &Self::Point<F>,
         _shapes: [&Shape<F>; 2],
+        _widths: [F; 2],
+        _irradiances: [Dual<F>; 2],
     ) -> [Self::Placed<F>; 2] {
         unreachable!("{CULLS_NOTHING}")
     }

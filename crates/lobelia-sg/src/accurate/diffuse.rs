@@ -1,6 +1,6 @@
 //! The integral of an SG times the clamped cosine, in closed form, and the complementary error function it needs.
 
-use crate::real::Real;
+use crate::real::{Real, polynomial};
 use crate::sg::Dual;
 use std::f64::consts::PI;
 
@@ -22,21 +22,12 @@ const SCALED_ERFC: [f64; 10] = [
 #[inline(always)]
 pub fn scaled_erfc<F: Real>(x: F) -> F {
     let s = x.times(0.36).plus(1.0).inverse();
-    let z = s.times(2.0).plus(-1.0);
-    let mut p = x.lit(SCALED_ERFC[9]);
-    let mut i = 9;
-    while i > 0 {
-        i -= 1;
-        p = p.mul_add(z, x.lit(SCALED_ERFC[i]));
-    }
-    p * s
+    polynomial(s.times(2.0).plus(-1.0), &SCALED_ERFC) * s
 }
 
-/// (1 − e^(−z))/z for small z ≥ 0 (below 0.5: error 1e-8).
-#[inline(always)]
-fn mean_exponential<F: Real>(z: F) -> F {
-    polynomial(z, [1.0, -0.5, 1.0 / 6.0, -1.0 / 24.0, 1.0 / 120.0, -1.0 / 720.0, 1.0 / 5040.0])
-}
+/// Coefficients of (1 − e^(−z))/z for small z ≥ 0 (below 0.5: error 1e-8).
+const MEAN_EXPONENTIAL: [f64; 7] =
+    [1.0, -0.5, 1.0 / 6.0, -1.0 / 24.0, 1.0 / 120.0, -1.0 / 720.0, 1.0 / 5040.0];
 
 /// e^x for x ≤ 0, at least 1e-26: later factors reduce it further, and subnormal numbers are slow.
 #[inline(always)]
@@ -73,29 +64,17 @@ fn extremes<F: Real>(l: F) -> (WithDerivative<F>, WithDerivative<F>) {
     let q = (g - e) * inverse;
     let closed = [up, -(g_prime + up) * inverse, q, (g_prime + e - q) * inverse];
     let series = [
-        polynomial(l, [0.5, -1.0 / 6.0, 1.0 / 24.0, -1.0 / 120.0, 1.0 / 720.0, -1.0 / 5040.0, 1.0 / 40320.0]),
-        polynomial(l, [-1.0 / 6.0, 1.0 / 12.0, -1.0 / 40.0, 1.0 / 180.0, -1.0 / 1008.0, 1.0 / 6720.0, 0.0]),
-        polynomial(l, [0.5, -1.0 / 3.0, 0.125, -1.0 / 30.0, 1.0 / 144.0, -1.0 / 840.0, 1.0 / 5760.0]),
-        polynomial(l, [-1.0 / 3.0, 0.25, -0.1, 1.0 / 36.0, -1.0 / 168.0, 1.0 / 960.0, 0.0]),
+        polynomial(
+            l,
+            &[0.5, -1.0 / 6.0, 1.0 / 24.0, -1.0 / 120.0, 1.0 / 720.0, -1.0 / 5040.0, 1.0 / 40320.0],
+        ),
+        polynomial(l, &[-1.0 / 6.0, 1.0 / 12.0, -1.0 / 40.0, 1.0 / 180.0, -1.0 / 1008.0, 1.0 / 6720.0, 0.0]),
+        polynomial(l, &[0.5, -1.0 / 3.0, 0.125, -1.0 / 30.0, 1.0 / 144.0, -1.0 / 840.0, 1.0 / 5760.0]),
+        polynomial(l, &[-1.0 / 3.0, 0.25, -0.1, 1.0 / 36.0, -1.0 / 168.0, 1.0 / 960.0, 0.0]),
     ];
-    let [mut up, mut up_prime, mut q, mut q_prime] = closed;
-    up = l.select_lt(bound, series[0], up);
-    up_prime = l.select_lt(bound, series[1], up_prime);
-    q = l.select_lt(bound, series[2], q);
-    q_prime = l.select_lt(bound, series[3], q_prime);
+    let either = |i: usize| l.select_lt(bound, series[i], closed[i]);
+    let (up, up_prime, q, q_prime) = (either(0), either(1), either(2), either(3));
     ((up, up_prime), (e * q, e * (q_prime - q)))
-}
-
-/// Polynomial; the constant term comes first.
-#[inline(always)]
-fn polynomial<F: Real>(x: F, coefficients: [f64; 7]) -> F {
-    let mut p = x.lit(coefficients[6]);
-    let mut i = 6;
-    while i > 0 {
-        i -= 1;
-        p = p.mul_add(x, x.lit(coefficients[i]));
-    }
-    p
 }
 
 /// The terms of the diffuse integral that depend on a lobe's sharpness only.
@@ -158,7 +137,8 @@ pub fn prepared_cosine_integral<F: Real>(terms: &SharpnessTerms<F>, c: F) -> Dua
     let share = tc.select_lt(zero, tail, one + one - tail);
     let z = t_squared * ((one - c) * (one + c));
     let bound = c.lit(0.5);
-    let mean = z.select_lt(bound, edge * mean_exponential(z), (edge - axis) * z.max(bound).inverse());
+    let mean =
+        z.select_lt(bound, edge * polynomial(z, &MEAN_EXPONENTIAL), (edge - axis) * z.max(bound).inverse());
     let difference = -(mean * (one - c) * (one + c)).times(0.5 / PI.sqrt());
     let blend = (c * share + axis_tail).times(0.5) - difference * t;
     let blend = blend.max(zero).min(one);

@@ -1,12 +1,10 @@
 //! Lobes regrouped into blocks of [`MAX_LANES`]: a block has one [`Row`] per column (axis, sharpness, amplitude, then the
 //! terms of the model), so that the values of a lobe are close in memory for any number of lobes.
 
-use crate::brdf::SpecularValue;
 use crate::columns::{LOBE_COLUMNS, LobeColumns, LobeVisibility, ShadePoint};
 use crate::lanes::{Lanes, MAX_LANES, RECORD, Row, record_of, record_of_mut};
 use crate::model::{PairModel, Terms};
-use crate::real::Vec3Of;
-use crate::sg::Shape;
+use crate::{brdf::SpecularValue, real::Vec3Of, sg::Shape};
 use fearless_simd::Simd;
 
 /// Number of rows of a block of prepared lobes: columns of lobes, terms of the model, the [`limit_rows`], and the columns of each lobe

@@ -7,10 +7,9 @@ use crate::brdf::{Facets, Ndf, SpecularValue};
 use crate::columns::{
     ChunkSums, Layers, Lighting, LobeColumns, PointAdjoint, RadianceColumns, ShadePoint, SharedGradient,
 };
-use crate::published::Published;
 use crate::real::{Real, Vec3Of};
-use crate::sg::Lobe;
 use crate::{accurate, published};
+use crate::{published::Published, sg::Lobe};
 use std::fmt::Debug;
 
 /// The closed form that shades.

@@ -1,10 +1,8 @@
 //! The loops of one closed form over a chunk of points, behind a trait object: threads and sums are compiled once, and
 //! the loops of every form once per instruction set.
 
-use super::adjoint::adjoint_chunk;
 use super::blocks::{Chunk, Shared, prepare_lobes};
-use super::forward::shade_chunk;
-use super::respond::respond_chunk;
+use super::{adjoint::adjoint_chunk, forward::shade_chunk, respond::respond_chunk};
 use crate::columns::{Layers, LobeColumns, PointAdjoint, RadianceColumns, ShadePoint};
 use crate::lanes::{Row, dispatch};
 use crate::model::PairModel;

@@ -3,12 +3,10 @@
 use super::blocks::{Chunk, Shared};
 use super::loops::{Kernels, Loops};
 use super::respond::RESPONSE_ROWS;
-use crate::brdf::SpecularValue;
 use crate::columns::{
     ChunkSums, Layers, Lighting, LobeColumns, PointAdjoint, RadianceColumns, ShadePoint, SharedGradient,
 };
-use crate::lanes::Row;
-use crate::model::PairModel;
+use crate::{brdf::SpecularValue, lanes::Row, model::PairModel};
 use rayon::prelude::*;
 use std::cell::Cell;
 
@@ -106,7 +104,7 @@ pub(crate) fn shade_adjoint_in_chunks(
     points
         .par_chunks(CHUNK)
         .zip(shaded.par_chunks(CHUNK).zip(adjoint.par_chunks(CHUNK)))
-        .zip(point_adjoint.par_chunks_mut(CHUNK).zip(sums.rows_mut().par_chunks_mut(rows)))
+        .zip(point_adjoint.par_chunks_mut(CHUNK).zip(sums.rows.par_chunks_mut(rows)))
         .enumerate()
         .for_each(|(i, ((points, (shaded, adjoint)), (out, partial)))| {
             let chunk = Chunk { points, visibility: lighting.chunk(i, CHUNK) };

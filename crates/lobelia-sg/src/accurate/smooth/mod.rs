@@ -21,8 +21,7 @@ pub(super) use ring::{Ring, broadness, pair_smoothness, smooth_light, smoothness
 
 use super::placement::{GGX, LocalLight, SG};
 use super::point::{PairAdjoint, PointTerms};
-use crate::real::Real;
-use crate::sg::Dual;
+use crate::{real::Real, sg::Dual};
 
 /// [`smooth_light`] and its adjoints.
 #[inline(always)]

@@ -4,9 +4,8 @@ use crate::accurate::narrow::{mirror, narrowness};
 use crate::accurate::placement::{GGX, LocalLight, SG, Tail, Vec2Of, dot2};
 use crate::accurate::point::{NdfTerms, PointTerms};
 use crate::accurate::specular::{Factors, PointTermsView, factors, fresnel};
-use crate::real::{Real, Vec3Of, add, dot, scale};
-use crate::sg::Dual;
-use crate::two::Two;
+use crate::real::{Real, Vec3Of, add, dot, polynomial, scale};
+use crate::{sg::Dual, two::Two};
 
 /// Least ratio of curvatures for an SG.
 const LEAST_SG: f64 = 4.0;
@@ -162,20 +161,9 @@ impl<F: Real> TwoNodes<F> {
         let over_root = square.quick_rsqrt();
         let tau = t * over_root;
         let a = square.mul_add(over_root, -t).times(0.5);
-        Self { offsets: [a + fit(tau, &FIRST), a + fit(tau, &SECOND)], weight: fit(tau, &WEIGHT) }
+        let offsets = [a + polynomial(tau, &FIRST), a + polynomial(tau, &SECOND)];
+        Self { offsets, weight: polynomial(tau, &WEIGHT) }
     }
-}
-
-/// A polynomial, its constant first.
-#[inline(always)]
-fn fit<F: Real>(x: F, c: &[f64; 6]) -> F {
-    let mut p = x.lit(c[5]);
-    let mut i = 5;
-    while i > 0 {
-        i -= 1;
-        p = p.mul_plus(x, c[i]);
-    }
-    p
 }
 
 /// The BRDF in one direction, times the direction's weight, without the factors of the point and without F.
@@ -270,30 +258,22 @@ impl<F: Copy> Ring<Two<F>> {
     /// The first and the second.
     #[inline(always)]
     pub fn split(self) -> [Ring<F>; 2] {
-        let three = |[x, y, z]: Vec3Of<Two<F>>| ([x.0, y.0, z.0], [x.1, y.1, z.1]);
-        let two = |[x, y]: Vec2Of<Two<F>>| ([x.0, y.0], [x.1, y.1]);
-        let (axis, toward) = (three(self.axis), three(self.toward));
-        let (level, offsets) = (two(self.level), two(self.offsets));
-        let one = Ring {
-            axis: axis.0,
-            toward: toward.0,
-            level: level.0,
-            width: self.width.0,
-            over_sine: self.over_sine.0,
-            height: self.height.0,
-            offsets: offsets.0,
-            weight: self.weight.0,
-        };
-        let other = Ring {
-            axis: axis.1,
-            toward: toward.1,
-            level: level.1,
-            width: self.width.1,
-            over_sine: self.over_sine.1,
-            height: self.height.1,
-            offsets: offsets.1,
-            weight: self.weight.1,
-        };
-        [one, other]
+        [self.each(|two| two.0), self.each(|two| two.1)]
+    }
+
+    #[inline(always)]
+    fn each(&self, one: impl Fn(Two<F>) -> F) -> Ring<F> {
+        let three = |[x, y, z]: Vec3Of<Two<F>>| [one(x), one(y), one(z)];
+        let two = |[x, y]: Vec2Of<Two<F>>| [one(x), one(y)];
+        Ring {
+            axis: three(self.axis),
+            toward: three(self.toward),
+            level: two(self.level),
+            width: one(self.width),
+            over_sine: one(self.over_sine),
+            height: one(self.height),
+            offsets: two(self.offsets),
+            weight: one(self.weight),
+        }
     }
 }
