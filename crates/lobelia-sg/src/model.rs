@@ -50,10 +50,7 @@ impl<F: Copy, const N: usize, const EACH: usize, const PARTS: usize> Terms<F>
     const LEN: usize = N + EACH * PARTS;
     #[inline(always)]
     fn from_fn(mut value: impl FnMut(usize) -> F) -> Self {
-        let mut shared = [value(0); N];
-        for (i, each) in shared.iter_mut().enumerate().skip(1) {
-            *each = value(i);
-        }
+        let shared = <[F; N] as Terms<F>>::from_fn(&mut value);
         let mut parts = [[shared[0]; EACH]; PARTS];
         for (p, part) in parts.iter_mut().enumerate() {
             for (i, each) in part.iter_mut().enumerate() {

@@ -364,7 +364,7 @@ fn plain(lobe: &FitLobe, scale: f64, white: bool) -> LightLobe {
     let amplitude = DVec3::from_array(lobe.amplitude) * scale;
     let gray = DVec3::splat(amplitude.element_sum() / 3.0);
     LightLobe {
-        axis: DVec3::from_array(lobe.axis).as_vec3(),
+        axis: lobe.axis.as_vec3(),
         sharpness: lobe.sharpness as f32,
         amplitude: if white { gray } else { amplitude }.as_vec3(),
     }

@@ -95,8 +95,8 @@ fn candidates(levels: &[Level], lobes: &[FitLobe], bounds: LobeBounds) -> Vec<Ca
 
 #[inline(always)]
 fn candidate<S: Simd>(simd: S, level: &Level, residual: &[TileValues], lobe: &FitLobe) -> Candidate {
-    let (axis, mut inner) = (DVec3::from_array(lobe.axis), [0.0; 3]);
-    let reach = LobeCap::new(axis, lobe.sharpness * REACH);
+    let mut inner = [0.0; 3];
+    let reach = LobeCap::new(lobe.axis, lobe.sharpness * REACH);
     for at in level.rows.iter().flat_map(|row| reach.tiles_in(row)) {
         if reach.meets(&level.tiles[at]) {
             let more = level.tiles[at].products(simd, lobe, &residual[at]);
@@ -104,7 +104,7 @@ fn candidate<S: Simd>(simd: S, level: &Level, residual: &[TileValues], lobe: &Fi
         }
     }
     let norm = sphere_integral(2.0 * lobe.sharpness) / (4.0 * std::f64::consts::PI);
-    Candidate { axis, sharpness: lobe.sharpness, inner, norm }
+    Candidate { axis: lobe.axis, sharpness: lobe.sharpness, inner, norm }
 }
 
 impl Candidate {
@@ -145,7 +145,7 @@ mod tests {
         let found = place(&[Level::new(&map)], &[], 2, bounds);
         assert_eq!(found.len(), 2);
         for (lobe, light) in found.iter().zip([lights[1], lights[0]]) {
-            let axis = DVec3::from_array(lobe.axis).as_vec3();
+            let axis = lobe.axis.as_vec3();
             assert!(axis.angle_between(light.axis) < 0.12, "{axis}");
             assert_eq!(lobe.sharpness as f32, light.sharpness);
             assert!((lobe.amplitude[1] as f32 / light.amplitude.y - 1.0).abs() < 0.1);
