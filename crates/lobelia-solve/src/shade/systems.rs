@@ -64,7 +64,18 @@ pub fn gather_points<M: MaterialSource>(
     let (points, rays, pixels, mut gathered) = samples.columns()?;
     let inputs = points.par_iter().zip(&*rays).zip(&*pixels).with_min_len(1024);
     gathered.par_iter_mut().zip(inputs).for_each(|(out, ((point, ray), pixel))| {
-        *out = gather_point(point, ray, &albedo, &sheen, &tilt);
+        *out = ShadePoint::default();
+        if !point.is_hit() {
+            return;
+        }
+        let to_viewer = -ray.0.direction;
+        let mixed = DirectionalAlbedo::mixed(&point.texels, |texel| DirectionalAlbedo {
+            albedo: albedo[texel].value().0,
+            sheen: sheen[texel].value().0,
+            tilt: tilt[texel].value().0,
+        });
+        let albedo = mixed.toward(point.normal, to_viewer).into();
+        *out = ShadePoint { normal: point.normal.into(), to_viewer: to_viewer.into(), albedo };
         if let Some(turn) = turns.get(pixel.view) {
             *out = turned(out, *turn);
         }
@@ -76,27 +87,6 @@ pub fn gather_points<M: MaterialSource>(
 pub fn turned(point: &ShadePoint, light_from_world: Mat3) -> ShadePoint {
     let turned = |direction: [f32; 3]| (light_from_world * Vec3::from(direction)).into();
     ShadePoint { normal: turned(point.normal), to_viewer: turned(point.to_viewer), ..*point }
-}
-
-fn gather_point(
-    point: &SurfacePoint,
-    ray: &ViewRay,
-    albedo: &[impl Holds<DiffuseAlbedo>],
-    sheen: &[impl Holds<DiffuseSheen>],
-    tilt: &[impl Holds<DiffuseTilt>],
-) -> ShadePoint {
-    if !point.is_hit() {
-        return ShadePoint::default();
-    }
-    let address = &point.texels;
-    let to_viewer = -ray.0.direction;
-    let mixed = DirectionalAlbedo::mixed(address, |texel| DirectionalAlbedo {
-        albedo: albedo[texel].value().0,
-        sheen: sheen[texel].value().0,
-        tilt: tilt[texel].value().0,
-    });
-    let albedo = mixed.toward(point.normal, to_viewer);
-    ShadePoint { normal: point.normal.into(), to_viewer: to_viewer.into(), albedo: albedo.into() }
 }
 
 /// Gather: interpolates the weights of the base materials at each surface point, if there are several.

@@ -1,6 +1,6 @@
 //! The rule for smooth lobes against exact moments, the cubature, and differences of it.
 
-use super::{pair_smoothness, ring::TwoNodes};
+use super::{pair_smoothness, ring::two_nodes};
 use crate::accurate::ggx::{GGX_TERMS, GgxSgs};
 use crate::accurate::point::{Mixture, OneSg, prepare_with_ndf};
 use crate::accurate::tests::{cubature::integrate, moves, pair, spread, wide_case};
@@ -26,7 +26,7 @@ fn moments(t: f64) -> [f64; 3] {
 #[test]
 fn two_nodes_have_the_moments_of_the_clipped_gaussian() {
     for t in [-3.0, -2.0, -1.0, -0.3, 0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 20.0, 90.0] {
-        let TwoNodes { offsets, weight } = TwoNodes::new(t);
+        let (offsets, weight) = two_nodes(t);
         let exact = moments(t);
         for (k, exact) in exact.iter().enumerate() {
             let power = k as i32 + 1;
