@@ -77,40 +77,17 @@ fn extremes<F: Real>(l: F) -> (WithDerivative<F>, WithDerivative<F>) {
     ((up, up_prime), (e * q, e * (q_prime - q)))
 }
 
-/// The terms of the diffuse integral that depend on a lobe's sharpness only.
-#[derive(Clone, Copy)]
-pub struct SharpnessTerms<F> {
-    steepness: WithDerivative<F>,
-    up: WithDerivative<F>,
-    low: WithDerivative<F>,
-    /// e^(−t²), and e^(−t²) times the scaled complementary error function of t.
-    axis: WithDerivative<F>,
-}
+/// The terms of the diffuse integral that depend on a lobe's sharpness only: t(λ), the integrals over 2π for an axis along the normal and
+/// against it, each with its derivative; e^(−t²), and e^(−t²) times the scaled complementary error function of t.
+pub type SharpnessTerms<F> = [F; 8];
 
-impl<F: Real> SharpnessTerms<F> {
-    /// For λ ≥ 0.
-    #[inline(always)]
-    pub fn new(sharpness: F) -> Self {
-        let steepness = steepness(sharpness);
-        let axis = fading_exp(-(steepness.0 * steepness.0));
-        let (up, low) = extremes(sharpness);
-        Self { steepness, up, low, axis: (axis, axis * scaled_erfc(steepness.0)) }
-    }
-}
-
-impl<F: Copy> SharpnessTerms<F> {
-    /// In the order that [`SharpnessTerms::from_array`] takes.
-    #[inline(always)]
-    pub fn to_array(self) -> [F; 8] {
-        let [t, up, low, axis] = [self.steepness, self.up, self.low, self.axis];
-        [t.0, t.1, up.0, up.1, low.0, low.1, axis.0, axis.1]
-    }
-
-    /// Back from [`SharpnessTerms::to_array`].
-    #[inline(always)]
-    pub fn from_array([t, dt, up, dup, low, dlow, axis, tail]: [F; 8]) -> Self {
-        Self { steepness: (t, dt), up: (up, dup), low: (low, dlow), axis: (axis, tail) }
-    }
+/// [`SharpnessTerms`] for λ ≥ 0.
+#[inline(always)]
+pub fn sharpness_terms<F: Real>(sharpness: F) -> SharpnessTerms<F> {
+    let (t, t_prime) = steepness(sharpness);
+    let axis = fading_exp(-(t * t));
+    let ((up, up_prime), (low, low_prime)) = extremes(sharpness);
+    [t, t_prime, up, up_prime, low, low_prime, axis, axis * scaled_erfc(t)]
 }
 
 /// ∫ exp(λ(ω·ξ − 1)) max(n·ω, 0) dω for λ ≥ 0 and c = ξ·n, with its two derivatives.
@@ -120,7 +97,7 @@ impl<F: Copy> SharpnessTerms<F> {
 /// Always in [0, π].
 #[inline(always)]
 pub fn cosine_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
-    prepared_cosine_integral(&SharpnessTerms::new(sharpness), c)
+    prepared_cosine_integral(&sharpness_terms(sharpness), c)
 }
 
 /// [`cosine_integral`] with precomputed terms of the sharpness.
@@ -128,10 +105,10 @@ pub fn cosine_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
 pub fn prepared_cosine_integral<F: Real>(terms: &SharpnessTerms<F>, c: F) -> Dual<F> {
     let (zero, one) = (c.zero(), c.one());
     let c = c.max(-one).min(one);
-    let (t, t_prime) = terms.steepness;
+    let [t, t_prime, up, up_prime, low, low_prime, axis, axis_tail] = *terms;
     let tc = t * c;
     let (t_squared, tc_abs) = (t * t, tc.max(-tc));
-    let ((axis, axis_tail), edge) = (terms.axis, fading_exp(-(tc * tc)));
+    let edge = fading_exp(-(tc * tc));
     // erfc(−tc), and (e^(−t²) − e^(−t²c²))/(2√π·t²), by series where the difference cancels.
     let tail = edge * scaled_erfc(tc_abs);
     let share = tc.select_lt(zero, tail, one + one - tail);
@@ -142,7 +119,6 @@ pub fn prepared_cosine_integral<F: Real>(terms: &SharpnessTerms<F>, c: F) -> Dua
     let difference = -(mean * (one - c) * (one + c)).times(0.5 / PI.sqrt());
     let blend = (c * share + axis_tail).times(0.5) - difference * t;
     let blend = blend.max(zero).min(one);
-    let ((up, up_prime), (low, low_prime)) = (terms.up, terms.low);
     let span = up - low;
     let by_sharpness = (up_prime - low_prime).mul_add(blend, low_prime) + span * difference * t_prime;
     Dual {

@@ -1,7 +1,7 @@
 //! The accurate integrals as a [`PairModel`].
 
 use super::adjoint::{pull_back_diffuse, pull_back_nodes, pull_back_specular};
-use super::diffuse::{SharpnessTerms, prepared_cosine_integral};
+use super::diffuse::{prepared_cosine_integral, sharpness_terms};
 use super::ggx::{GGX_TERMS, GgxSgs};
 use super::narrow::{MOST_SGS, mirror, narrowness};
 use super::pair::{evaluate_specular, place_sgs, sum_nodes};
@@ -146,7 +146,7 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
 
     #[inline(always)]
     fn prepare_lobe<F: Real>(&self, sharpness: F) -> [F; 8] {
-        SharpnessTerms::new(sharpness).to_array()
+        sharpness_terms(sharpness)
     }
 
     #[inline(always)]
@@ -185,7 +185,7 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
     #[inline(always)]
     fn irradiance<F: Real>(&self, point: &Self::Point<F>, shape: &Shape<F>, lobe: &[F; 8]) -> Dual<F> {
         let normal = PointTerms::from_numbers(*point).frame[2];
-        prepared_cosine_integral(&SharpnessTerms::from_array(*lobe), dot(normal, shape.axis))
+        prepared_cosine_integral(lobe, dot(normal, shape.axis))
     }
 
     #[inline(always)]

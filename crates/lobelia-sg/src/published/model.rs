@@ -2,7 +2,7 @@
 
 use super::pair::{Pair, evaluate_prepared, pull_back_pair};
 use super::point::{FrozenBrdf, PointTerms, prepare_point, pull_back_normal};
-use super::sharp::{SHARPNESS_COLUMNS, SharpnessTerms};
+use super::sharp::{SharpnessTerms, sharpness_terms};
 use crate::brdf::{SpecularAdjoint, SpecularValue};
 use crate::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Response};
 use crate::real::{Real, Vec3Of, dot};
@@ -48,7 +48,7 @@ impl PairModel for Published {
     const CULLS: bool = false;
     type Point<F: Copy> = [F; 8];
     type Frozen<F: Copy> = [F; 8];
-    type Lobe<F: Copy> = [F; SHARPNESS_COLUMNS];
+    type Lobe<F: Copy> = SharpnessTerms<F>;
     type Placed<F: Copy> = ();
     type Specular<F: Copy> = [F; 1];
     type Sums<F: Copy> = [F; 8];
@@ -65,10 +65,10 @@ impl PairModel for Published {
     }
 
     #[inline(always)]
-    fn prepare_lobe<F: Real>(&self, sharpness: F) -> [F; SHARPNESS_COLUMNS] {
+    fn prepare_lobe<F: Real>(&self, sharpness: F) -> SharpnessTerms<F> {
         // Below the bound the terms are not used, but they must be finite.
         let sharpness = sharpness.max(sharpness.one());
-        SharpnessTerms::new(sharpness, sharpness.inverse()).to_columns()
+        sharpness_terms(sharpness, sharpness.inverse())
     }
 
     #[inline(always)]
@@ -82,10 +82,10 @@ impl PairModel for Published {
         &self,
         point: &[F; 8],
         shape: &Shape<F>,
-        lobe: &[F; SHARPNESS_COLUMNS],
+        lobe: &SharpnessTerms<F>,
     ) -> Response<F, [F; 1]> {
         let point = PointTerms::from_array(*point);
-        response(&evaluate_prepared(&point, shape, &SharpnessTerms::from_columns(lobe)))
+        response(&evaluate_prepared(&point, shape, lobe))
     }
 
     #[inline(always)]
@@ -93,11 +93,11 @@ impl PairModel for Published {
         &self,
         point: &[F; 8],
         shape: &Shape<F>,
-        lobe: &[F; SHARPNESS_COLUMNS],
+        lobe: &SharpnessTerms<F>,
         adjoint: &Response<F, [F; 1]>,
     ) -> PulledBack<F, Self> {
         let point = PointTerms::from_array(*point);
-        let pair = evaluate_prepared(&point, shape, &SharpnessTerms::from_columns(lobe));
+        let pair = evaluate_prepared(&point, shape, lobe);
         let (diffuse, [specular]) = (adjoint.diffuse, adjoint.specular);
         let back = pull_back_pair(&pair, &point, shape.axis, shape.sharpness, diffuse, specular);
         let shape = Shape { axis: back.axis, sharpness: back.sharpness };
