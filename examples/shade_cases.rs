@@ -8,6 +8,7 @@
 //! Modes: `published` (default), `accurate`, `accurate-high` (more quadrature nodes) and `path-traced`, which is the renderer itself, adds
 //! `diffuse_stderr` and `specular_stderr`, and takes `--samples N` paths (default 1024). Closed forms are computed in `f64`.
 
+use lobelia::light::illuminate::LobeLight;
 use lobelia::material::SpecularBlend;
 use lobelia::prelude::*;
 use lobelia::sg::accurate::Quality;
@@ -16,7 +17,6 @@ use lobelia::sg::published::Lobe;
 use lobelia::sg::ray::{Hit, Intersect, Ray};
 use lobelia::sg::shading::ClosedForm;
 use lobelia::shade::path_tracer::{PathPoint, PathQuery, PathScene, PathSettings, shade_point};
-use lobelia::shade::sampling::SingleLobe;
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
@@ -89,8 +89,8 @@ impl Intersect for Empty {
 fn traced(case: &Case, stream: u64, paths: u32) -> Layers {
     let vec = |v: [f64; 3]| Vec3::from(v.map(|x| x as f32));
     let (sharpness, roughness) = (case.sharpness as f32, case.roughness as f32);
-    let light =
-        SingleLobe::new(LightLobe { axis: vec(case.axis), sharpness, amplitude: vec(case.amplitude) });
+    let lobe = LightLobe { axis: vec(case.axis), sharpness, amplitude: vec(case.amplitude) };
+    let light = LobeLight::new(&[lobe]);
     let specular = [Some(SpecularLobe::new(vec(case.specular), roughness))];
     let scene = PathScene {
         surface: &Empty,

@@ -3,8 +3,7 @@
 use super::{CACHES, POINTS, Turns};
 use criterion::{Criterion, Throughput};
 use fearless_simd::{Level, Simd, dispatch};
-use lobelia_sg::lanes::Lanes;
-use lobelia_sg::real::Real;
+use lobelia_sg::{lanes::Lanes, real::Real};
 
 /// Values of one run.
 pub const VALUES: usize = 4096;

@@ -7,16 +7,13 @@
 // Criterion makes public functions.
 #![allow(missing_docs)]
 
-mod adjoint;
 mod exp;
-mod forward;
 mod plain;
 mod pool;
+mod shading;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use lobelia_sg::workload::Workload;
-use std::ops::Range;
-use std::time::Duration;
+use std::{ops::Range, time::Duration};
 
 /// Points of one run: what a thread takes at a time.
 pub const POINTS: usize = 256;
@@ -47,11 +44,6 @@ impl Turns {
     }
 }
 
-/// The batch that the kernels share.
-pub fn workload(points: usize) -> Workload {
-    Workload::new(points, LOBES, 0.3)
-}
-
 fn short() -> Criterion {
     Criterion::default()
         .sample_size(20)
@@ -63,6 +55,6 @@ fn short() -> Criterion {
 criterion_group! {
     name = kernels;
     config = short();
-    targets = forward::forward, adjoint::adjoint, exp::exp, pool::pool
+    targets = shading::forward, shading::adjoint, exp::exp, pool::pool
 }
 criterion_main!(kernels);

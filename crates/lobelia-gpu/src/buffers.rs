@@ -52,11 +52,10 @@ impl Buffers {
         if self.0.get(&slot).is_some_and(|buffer| buffer.size() >= bytes) {
             return;
         }
-        let size = bytes.max(LEAST_BYTES).next_multiple_of(16);
         let label = format!("{slot:?}");
         let descriptor = wgpu::BufferDescriptor {
             label: Some(label.as_str()),
-            size,
+            size: bytes.max(LEAST_BYTES).next_multiple_of(16),
             usage: slot.usage(),
             mapped_at_creation: false,
         };
@@ -64,7 +63,7 @@ impl Buffers {
     }
 
     /// A buffer that room was made for.
-    pub(crate) fn get(&self, slot: Slot) -> Option<&wgpu::Buffer> {
-        self.0.get(&slot)
+    pub(crate) fn get(&self, slot: Slot) -> &wgpu::Buffer {
+        &self.0[&slot]
     }
 }

@@ -1,8 +1,6 @@
 //! Adapters, the device, and the cached state of calls.
 
-use crate::buffers::Buffers;
-use crate::error::GpuError;
-use crate::kernels::Pipelines;
+use crate::{buffers::Buffers, kernels::Pipelines};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, Waker};
 
@@ -26,7 +24,7 @@ pub(crate) struct State {
 pub struct Gpu {
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
-    name: String,
+    pub(crate) name: String,
     state: Mutex<State>,
     /// The first failure that is not reported yet.
     failure: Arc<Mutex<Option<String>>>,
@@ -51,6 +49,11 @@ fn name_of(adapter: &wgpu::Adapter) -> String {
     format!("{} ({:?})", info.name, info.backend)
 }
 
+/// The error of the adapter or device of this name.
+fn failure_of(name: &str, cause: &dyn std::fmt::Display) -> String {
+    format!("the GPU \"{name}\" failed: {cause}")
+}
+
 /// Whether an adapter can run the kernels.
 fn computes(adapter: &wgpu::Adapter) -> bool {
     let limits = adapter.limits();
@@ -60,14 +63,10 @@ fn computes(adapter: &wgpu::Adapter) -> bool {
 }
 
 /// Software comes last.
-fn rank(adapter: &wgpu::Adapter) -> u8 {
-    match adapter.get_info().device_type {
-        wgpu::DeviceType::DiscreteGpu => 0,
-        wgpu::DeviceType::IntegratedGpu => 1,
-        wgpu::DeviceType::VirtualGpu => 2,
-        wgpu::DeviceType::Other => 3,
-        wgpu::DeviceType::Cpu => 4,
-    }
+fn rank(adapter: &wgpu::Adapter) -> Option<usize> {
+    use wgpu::DeviceType::{Cpu, DiscreteGpu, IntegratedGpu, Other, VirtualGpu};
+    let kind = adapter.get_info().device_type;
+    [DiscreteGpu, IntegratedGpu, VirtualGpu, Other, Cpu].iter().position(|known| *known == kind)
 }
 
 /// The output of a future of wgpu, which is ready at once everywhere but in a browser.
@@ -90,30 +89,30 @@ fn adapters() -> Vec<wgpu::Adapter> {
     all
 }
 
-impl Gpu {
-    /// Names of the adapters that can run the kernels, the one that [`Gpu::open`] prefers first. Software counts, and comes last.
-    pub fn names() -> Vec<String> {
-        adapters().iter().map(name_of).collect()
-    }
+/// There is no adapter.
+pub(crate) const NO_ADAPTER: &str = "no GPU adapter is there that can compute; install a Vulkan driver (Debian: \
+    mesa-vulkan-drivers, which also has one in software)";
 
-    /// Opens the first adapter of [`Gpu::names`] that has `name_contains` in its name (upper or lower case), or the first of all.
-    pub fn open(name_contains: Option<&str>) -> Result<Self, GpuError> {
+impl Gpu {
+    /// Opens the first adapter that has `name_contains` in its name (upper or lower case), or the first of all. Software counts, and comes
+    /// last.
+    ///
+    /// # Errors
+    /// What is missing, or the failure of the adapter.
+    pub fn open(name_contains: Option<&str>) -> Result<Self, String> {
         let all = adapters();
         if all.is_empty() {
-            return Err(GpuError::NoAdapter);
+            return Err(NO_ADAPTER.to_owned());
         }
-        let wanted = name_contains.unwrap_or_default().to_lowercase();
-        let Some(adapter) = all.iter().find(|a| name_of(a).to_lowercase().contains(&wanted)) else {
-            let found = all.iter().map(name_of).collect();
-            return Err(GpuError::NoSuchAdapter {
-                wanted: name_contains.unwrap_or_default().to_owned(),
-                found,
-            });
+        let wanted = name_contains.unwrap_or_default();
+        let is_wanted = |a: &&wgpu::Adapter| name_of(a).to_lowercase().contains(&wanted.to_lowercase());
+        let Some(adapter) = all.iter().find(is_wanted) else {
+            let found: Vec<String> = all.iter().map(name_of).collect();
+            return Err(format!(
+                "no GPU adapter has \"{wanted}\" in its name; there are: {}",
+                found.join(", ")
+            ));
         };
-        Self::of(adapter)
-    }
-
-    fn of(adapter: &wgpu::Adapter) -> Result<Self, GpuError> {
         let name = name_of(adapter);
         let limits = adapter.limits();
         let most_bytes =
@@ -123,8 +122,8 @@ impl Gpu {
             required_limits: limits,
             ..wgpu::DeviceDescriptor::default()
         };
-        let (device, queue) = wait_for(adapter.request_device(&descriptor))
-            .map_err(|cause| GpuError::Failed { name: name.clone(), cause: cause.to_string() })?;
+        let (device, queue) =
+            wait_for(adapter.request_device(&descriptor)).map_err(|cause| failure_of(&name, &cause))?;
         let failure = Arc::new(Mutex::new(None));
         let seen = Arc::clone(&failure);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
@@ -133,17 +132,12 @@ impl Gpu {
         Ok(Self { device, queue, name, state: Mutex::default(), failure, most_bytes })
     }
 
-    /// Name of the adapter and the interface that it is used through.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
     /// Runs `call` with pipelines and buffers, one call at a time. The state left by a failed call
     /// is dropped.
-    pub(crate) fn with_state<T>(
+    pub(crate) fn with_state(
         &self,
-        call: impl FnOnce(&mut State) -> Result<T, GpuError>,
-    ) -> Result<T, GpuError> {
+        call: impl FnOnce(&mut State) -> Result<(), String>,
+    ) -> Result<(), String> {
         let mut state = locked(&self.state);
         let result = call(&mut state);
         if result.is_err() {
@@ -152,30 +146,22 @@ impl Gpu {
         result
     }
 
-    /// An error of this GPU.
-    pub(crate) fn failed(&self, cause: impl ToString) -> GpuError {
-        GpuError::Failed { name: self.name.clone(), cause: cause.to_string() }
-    }
-
-    /// The first failure since the last call of this, if any.
-    fn check(&self) -> Result<(), GpuError> {
-        locked(&self.failure).take().map_or(Ok(()), |cause| Err(self.failed(cause)))
-    }
-
     /// Submits commands, waits for their end and returns the first `count` values of `buffer`.
     pub(crate) fn finish(
         &self,
         commands: wgpu::CommandBuffer,
         buffer: &wgpu::Buffer,
         count: usize,
-    ) -> Result<Vec<f32>, GpuError> {
+    ) -> Result<Vec<f32>, String> {
         let bytes = ..4 * count as u64;
         self.queue.submit([commands]);
         buffer.map_async(wgpu::MapMode::Read, bytes, |_| {});
         let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
-        self.check()?;
-        waited.map_err(|cause| self.failed(cause))?;
-        let view = buffer.get_mapped_range(bytes).map_err(|cause| self.failed(cause))?;
+        if let Some(cause) = locked(&self.failure).take() {
+            return Err(failure_of(&self.name, &cause));
+        }
+        waited.map_err(|cause| failure_of(&self.name, &cause))?;
+        let view = buffer.get_mapped_range(bytes).map_err(|cause| failure_of(&self.name, &cause))?;
         let values = bytemuck::pod_collect_to_vec(&view);
         drop(view);
         buffer.unmap();

@@ -1,10 +1,7 @@
 //! The WGSL of the kernels, and their pipelines.
 
 use lobelia_sg::accurate::{ACCURATE_DEFAULT, Quality};
-use lobelia_sg::brdf::Ndf;
-use lobelia_sg::model::PairModel;
-use lobelia_sg::published::Published;
-use lobelia_sg::shading::ClosedForm;
+use lobelia_sg::{brdf::Ndf, model::PairModel, published::Published, shading::ClosedForm};
 use std::collections::HashMap;
 
 /// The formulas that are there in WGSL.

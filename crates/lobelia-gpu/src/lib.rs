@@ -1,9 +1,7 @@
 //! The closed forms of `lobelia-sg` on a GPU, forward and adjoint: loops over points × light lobes in WGSL, run by `wgpu`.
 //!
-//! [`Gpu::shade`] and [`Gpu::shade_adjoint`] mean what
-//! [`ClosedForm::shade`](lobelia_sg::shading::ClosedForm::shade) and
-//! [`ClosedForm::shade_adjoint`](lobelia_sg::shading::ClosedForm::shade_adjoint) mean, in `f32`. They differ from them by rounding, and
-//! evaluate the specular part of every pair, where accurate shading on the CPU leaves out what it takes for negligible: up to 0.15 % of the
+//! [`Gpu`] is a device of [`PairLoops`](lobelia_sg::shading::PairLoops), in `f32`. Its results differ from those of the CPU by rounding, and
+//! it evaluates the specular part of every pair, where accurate shading on the CPU leaves out what it takes for negligible: up to 0.15 % of the
 //! brightest specular radiance of [`Workload`](lobelia_sg::workload::Workload) with 128 lobes, and more where broad and sharp lobes mix. Sums have a fixed order: on one device, the
 //! same call has the same result every time.
 //!
@@ -13,13 +11,11 @@
 //! | `kernels` | the WGSL of a kernel, and pipelines kept between calls |
 //! | `buffers` | buffers kept between calls |
 //! | `device` | adapters, the device and its failures |
-//! | `error` | errors |
 //!
 //! The files `*.wgsl` have the names of the files of `lobelia-sg` that they follow.
 
 mod buffers;
 mod device;
-mod error;
 mod kernels;
 mod shade;
 
@@ -27,5 +23,3 @@ mod shade;
 mod tests;
 
 pub use device::Gpu;
-pub use error::GpuError;
-pub use shade::Adjoints;

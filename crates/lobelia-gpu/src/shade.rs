@@ -2,15 +2,14 @@
 
 use crate::buffers::{Buffers, Slot};
 use crate::device::{Gpu, State};
-use crate::error::GpuError;
 use crate::kernels::{Kernel, Model};
 use bytemuck::cast_slice;
 use lobelia_sg::brdf::{Ndf, SpecularAdjoint, SpecularValue};
-use lobelia_sg::columns::Lighting;
-use lobelia_sg::columns::{ChunkSums, LOBE_COLUMNS, LobeColumns, SharedGradient};
-use lobelia_sg::columns::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
 use lobelia_sg::sg::Lobe;
-use lobelia_sg::shading::{ClosedForm, PairLoops, ShadeCall};
+use lobelia_sg::shading::{
+    ChunkSums, ClosedForm, LOBE_COLUMNS, Layers, LobeColumns, PairLoops, PointAdjoint, RadianceColumns,
+    ShadeCall, SharedGradient,
+};
 use std::ops::Range;
 
 /// Points of a workgroup.
@@ -24,42 +23,22 @@ const TWO_VECTORS: usize = 8;
 /// Lobes at most: a software driver may end all loops of a thread after 65,535 turns in sum, and says nothing.
 pub(crate) const MOST_LOBES: usize = 4096;
 
-/// Outputs of [`Gpu::shade_adjoint`].
-#[derive(Debug)]
-pub struct Adjoints<'a> {
-    /// Adjoints of the inputs of each point.
-    pub points: &'a mut [PointAdjoint],
-    /// Gradient with respect to lobes and specular material, summed over points.
-    pub shared: &'a mut SharedGradient,
-}
-
-/// The inputs of a call.
+/// A call on a device.
 #[derive(Clone, Copy)]
 struct Job<'a> {
     gpu: &'a Gpu,
     model: Model,
-    points: &'a [ShadePoint],
-    specular: &'a SpecularValue,
-    lighting: Lighting<'a>,
+    call: ShadeCall<'a>,
 }
 
-impl Gpu {
-    /// Whether [`Gpu::shade`] and [`Gpu::shade_adjoint`] have this closed form with this distribution of normals.
-    pub fn supports(form: ClosedForm, ndf: Ndf) -> bool {
+impl PairLoops for Gpu {
+    fn supports(&self, form: ClosedForm, ndf: Ndf) -> bool {
         Model::of(form, ndf).is_some()
     }
 
-    /// Radiance of `points` as [`ClosedForm::shade`] computes it; `out` has their length.
-    pub fn shade(
-        &self,
-        form: ClosedForm,
-        points: &[ShadePoint],
-        specular: &SpecularValue,
-        lighting: Lighting<'_>,
-        out: &mut [Layers],
-    ) -> Result<(), GpuError> {
-        let job = Job::new(self, form, points, specular, lighting)?;
-        check_length("radiance", out.len(), points.len())?;
+    fn shade(&self, call: ShadeCall<'_>, out: &mut [Layers]) -> Result<(), String> {
+        assert_eq!(call.points.len(), out.len(), "one output per point");
+        let job = Job::new(self, call)?;
         self.with_state(|state| {
             job.upload_lobes(state);
             for range in job.batches() {
@@ -73,28 +52,23 @@ impl Gpu {
         })
     }
 
-    /// Propagates the adjoint of the radiance of each point back to the points and to the shared parameters, as
-    /// [`ClosedForm::shade_adjoint`] does. Overwrites `out`, whose points have the length of `points`.
-    pub fn shade_adjoint(
+    fn shade_adjoint(
         &self,
-        form: ClosedForm,
-        points: &[ShadePoint],
-        specular: &SpecularValue,
-        lighting: Lighting<'_>,
+        call: ShadeCall<'_>,
         radiance: RadianceColumns<'_>,
-        out: Adjoints<'_>,
-    ) -> Result<(), GpuError> {
-        let job = Job::new(self, form, points, specular, lighting)?;
-        check_length("radiance", radiance.shaded.len(), points.len())?;
-        check_length("adjoint of the radiance", radiance.adjoint.len(), points.len())?;
-        check_length("adjoints of points", out.points.len(), points.len())?;
+        out: &mut [PointAdjoint],
+        sums: &mut ChunkSums,
+    ) -> Result<(), String> {
+        let lengths = [radiance.shaded.len(), radiance.adjoint.len(), out.len()];
+        assert_eq!(lengths, [call.points.len(); 3], "one value and one output per point");
+        let job = Job::new(self, call)?;
         let mut totals = vec![0.0; job.rows()];
         self.with_state(|state| {
             job.upload_lobes(state);
             for range in job.batches() {
                 let values = job.adjoint(state, range.clone(), radiance)?;
                 let (of_points, sums) = values.split_at(TWO_VECTORS * range.len());
-                for (out, value) in out.points[range].iter_mut().zip(of_points.chunks_exact(TWO_VECTORS)) {
+                for (out, value) in out[range].iter_mut().zip(of_points.chunks_exact(TWO_VECTORS)) {
                     let [albedo, normal] = two_vectors(value);
                     *out = PointAdjoint { albedo, normal };
                 }
@@ -104,34 +78,7 @@ impl Gpu {
             }
             Ok(())
         })?;
-        *out.shared = gradient_of(&totals, lighting.lobes.len());
-        Ok(())
-    }
-}
-
-impl PairLoops for Gpu {
-    fn supports(&self, form: ClosedForm, ndf: Ndf) -> bool {
-        Gpu::supports(form, ndf)
-    }
-
-    fn shade(&self, call: ShadeCall<'_>, out: &mut [Layers]) -> Result<(), String> {
-        let ShadeCall { form, points, specular, lighting } = call;
-        self.shade(form, points, specular, lighting, out).map_err(|error| error.to_string())
-    }
-
-    fn shade_adjoint(
-        &self,
-        call: ShadeCall<'_>,
-        radiance: RadianceColumns<'_>,
-        out: &mut [PointAdjoint],
-        sums: &mut ChunkSums,
-    ) -> Result<(), String> {
-        let ShadeCall { form, points, specular, lighting } = call;
-        let mut shared = SharedGradient::default();
-        let out = Adjoints { points: out, shared: &mut shared };
-        self.shade_adjoint(form, points, specular, lighting, radiance, out)
-            .map_err(|error| error.to_string())?;
-        sums.set_total(&shared);
+        sums.set_total(&gradient_of(&totals, call.lighting.lobes.len()));
         Ok(())
     }
 }
@@ -154,62 +101,47 @@ fn two_vectors(values: &[f32]) -> [[f32; 3]; 2] {
     [0, 4].map(|first| std::array::from_fn(|c| values[first + c]))
 }
 
-fn check_length(what: &'static str, found: usize, expected: usize) -> Result<(), GpuError> {
-    if found == expected { Ok(()) } else { Err(GpuError::Length { what, found, expected }) }
-}
-
 /// Values of vectors of three, each padded to four.
 fn padded<const N: usize>(vectors: impl Iterator<Item = [[f32; 3]; N]>) -> Vec<f32> {
     vectors.flatten().flat_map(|[x, y, z]| [x, y, z, 0.0]).collect()
 }
 
 impl<'a> Job<'a> {
-    fn new(
-        gpu: &'a Gpu,
-        form: ClosedForm,
-        points: &'a [ShadePoint],
-        specular: &'a SpecularValue,
-        lighting: Lighting<'a>,
-    ) -> Result<Self, GpuError> {
-        let ndf = specular.ndf;
-        let model = Model::of(form, ndf).ok_or(GpuError::Unsupported { form, ndf })?;
-        if let Some(visibility) = lighting.visibility {
-            check_length("visibility of points", visibility.points.len(), points.len())?;
-            if !visibility.lobes.is_empty() {
-                let expected = points.len() * lighting.lobes.stride();
-                check_length("visibility of lobes", visibility.lobes.len(), expected)?;
-            }
+    fn new(gpu: &'a Gpu, call: ShadeCall<'a>) -> Result<Self, String> {
+        let (form, ndf) = (call.form, call.specular.ndf);
+        let model = Model::of(form, ndf).ok_or_else(|| {
+            format!("{form:?} shading with the {ndf:?} distribution is not on the GPU; shade on the CPU")
+        })?;
+        call.lighting.check(call.points.len());
+        let count = call.lighting.lobes.len();
+        let most = MOST_LOBES.min(gpu.most_bytes as usize / LOBE_BYTES);
+        if count > most {
+            return Err(format!("{count} lobes are more than the GPU takes; at most {most}"));
         }
-        let (lobes, most) = (lighting.lobes.len(), MOST_LOBES.min(gpu.most_bytes as usize / LOBE_BYTES));
-        if lobes > most {
-            return Err(GpuError::TooManyLobes { lobes, most });
-        }
-        Ok(Self { gpu, model, points, specular, lighting })
+        Ok(Self { gpu, model, call })
     }
 
     /// Number of sums over points.
     fn rows(&self) -> usize {
-        LOBE_COLUMNS * self.lighting.lobes.len() + 4
+        LOBE_COLUMNS * self.call.lighting.lobes.len() + 4
     }
 
     /// The points in batches whose buffers are not too large. What they are depends on the number of lobes only.
     fn batches(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         // Of a workgroup: a row of visibility for each point, and the sums.
-        let bytes = (GROUP * self.lighting.lobes.stride()).max(4 * self.rows());
+        let bytes = (GROUP * self.call.lighting.lobes.stride()).max(4 * self.rows());
         let groups = (self.gpu.most_bytes as usize / bytes).clamp(1, BATCH / GROUP);
-        let (batch, count) = (groups * GROUP, self.points.len());
+        let (batch, count) = (groups * GROUP, self.call.points.len());
         (0..count).step_by(batch).map(move |first| first..count.min(first + batch))
     }
 
     fn upload(&self, buffers: &mut Buffers, slot: Slot, bytes: &[u8]) {
         buffers.reserve(&self.gpu.device, slot, bytes.len() as u64);
-        if let Some(buffer) = buffers.get(slot) {
-            self.gpu.queue.write_buffer(buffer, 0, bytes);
-        }
+        self.gpu.queue.write_buffer(buffers.get(slot), 0, bytes);
     }
 
     fn upload_lobes(&self, state: &mut State) {
-        let lobes = self.lighting.lobes;
+        let lobes = self.call.lighting.lobes;
         let mut values = Vec::with_capacity(lobes.len() * LOBE_BYTES / 4);
         for i in 0..lobes.len() {
             let Lobe { axis, sharpness, amplitude } = lobes.get(i);
@@ -224,11 +156,11 @@ impl<'a> Job<'a> {
 
     /// Uploads what depends on the points of a batch, but for their radiance.
     fn upload_points(&self, buffers: &mut Buffers, range: Range<usize>) {
-        let points = self.points[range.clone()].iter().map(|p| [p.normal, p.to_viewer, p.albedo]);
+        let points = self.call.points[range.clone()].iter().map(|p| [p.normal, p.to_viewer, p.albedo]);
         self.upload(buffers, Slot::Points, cast_slice(&padded(points)));
-        let stride = self.lighting.lobes.stride();
+        let stride = self.call.lighting.lobes.stride();
         let (mut rows, mut around, mut words): (&[u8], _, _) = (&[], Vec::new(), 0);
-        if let Some(visibility) = self.lighting.visibility {
+        if let Some(visibility) = self.call.lighting.visibility {
             around = padded(visibility.points[range.clone()].iter().map(|p| [p.specular, p.indirect]));
             if !visibility.lobes.is_empty() {
                 rows = &visibility.lobes[range.start * stride..range.end * stride];
@@ -237,12 +169,10 @@ impl<'a> Job<'a> {
         }
         self.upload(buffers, Slot::Visible, rows);
         self.upload(buffers, Slot::Around, cast_slice(&around));
-        let SpecularValue { albedo: [r, g, b], roughness, .. } = *self.specular;
-        let numbers = [range.len(), self.lighting.lobes.len(), words, usize::from(!around.is_empty())];
-        let [n0, n1, n2, n3] = numbers.map(|n| n as u32);
-        let bits = [r, g, b, roughness].map(f32::to_bits);
-        let [b0, b1, b2, b3] = bits;
-        self.upload(buffers, Slot::Call, cast_slice(&[b0, b1, b2, b3, n0, n1, n2, n3]));
+        let SpecularValue { albedo: [r, g, b], roughness, .. } = *self.call.specular;
+        let numbers = [range.len(), self.call.lighting.lobes.len(), words, usize::from(!around.is_empty())];
+        let both = [[r, g, b, roughness].map(f32::to_bits), numbers.map(|n| n as u32)];
+        self.upload(buffers, Slot::Call, cast_slice(&both));
     }
 
     fn encoder(&self) -> wgpu::CommandEncoder {
@@ -259,11 +189,11 @@ impl<'a> Job<'a> {
         groups: usize,
     ) {
         let pipeline = state.pipelines.get(kernel, &self.gpu.device);
-        let buffers = slots.iter().filter_map(|slot| state.buffers.get(*slot));
-        let entries: Vec<wgpu::BindGroupEntry<'_>> = buffers
-            .zip(0..)
-            .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
-            .collect();
+        let entry = |(slot, binding): (&Slot, u32)| wgpu::BindGroupEntry {
+            binding,
+            resource: state.buffers.get(*slot).as_entire_binding(),
+        };
+        let entries: Vec<wgpu::BindGroupEntry<'_>> = slots.iter().zip(0..).map(entry).collect();
         let bound = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: None,
             layout: &pipeline.get_bind_group_layout(0),
@@ -281,23 +211,20 @@ impl<'a> Job<'a> {
         state: &mut State,
         mut encoder: wgpu::CommandEncoder,
         counts: &[(Slot, usize)],
-    ) -> Result<Vec<f32>, GpuError> {
+    ) -> Result<Vec<f32>, String> {
         let total = counts.iter().map(|(_, count)| count).sum::<usize>();
         state.buffers.reserve(&self.gpu.device, Slot::Back, 4 * total as u64);
-        let Some(back) = state.buffers.get(Slot::Back) else { return Ok(Vec::new()) };
-        let mut at = 0;
+        let (back, mut at) = (state.buffers.get(Slot::Back), 0);
         for (slot, count) in counts {
             let bytes = 4 * *count as u64;
-            if let Some(buffer) = state.buffers.get(*slot) {
-                encoder.copy_buffer_to_buffer(buffer, 0, back, at, bytes);
-            }
+            encoder.copy_buffer_to_buffer(state.buffers.get(*slot), 0, back, at, bytes);
             at += bytes;
         }
         self.gpu.finish(encoder.finish(), back, total)
     }
 
     /// Diffuse and specular radiance of a batch.
-    fn forward(&self, state: &mut State, range: Range<usize>) -> Result<Vec<f32>, GpuError> {
+    fn forward(&self, state: &mut State, range: Range<usize>) -> Result<Vec<f32>, String> {
         let count = TWO_VECTORS * range.len();
         self.upload_points(&mut state.buffers, range.clone());
         state.buffers.reserve(&self.gpu.device, Slot::Out, 4 * count as u64);
@@ -314,7 +241,7 @@ impl<'a> Job<'a> {
         state: &mut State,
         range: Range<usize>,
         radiance: RadianceColumns<'_>,
-    ) -> Result<Vec<f32>, GpuError> {
+    ) -> Result<Vec<f32>, String> {
         let (count, groups, rows) = (TWO_VECTORS * range.len(), range.len().div_ceil(GROUP), self.rows());
         self.upload_points(&mut state.buffers, range.clone());
         self.upload_adjoint(&mut state.buffers, range, radiance);

@@ -99,20 +99,18 @@ pub fn normal_distribution<F: Real>(normal: Vec3Of<F>, half: Vec3Of<F>, facets: 
             let sharpness = ndf_sharpness(facets.roughness);
             sg::evaluate(half, normal, sharpness) * sharpness.times(0.5 / PI)
         }
-        Ndf::Ggx => ggx(normal, half, facets.roughness),
+        // α²/(π((n·h)²(α² − 1) + 1)²) with α = R², above the horizon.
+        Ndf::Ggx => {
+            let square = facets.roughness * facets.roughness;
+            let alpha2 = square * square;
+            // 1 − (n·h)² is |n − h|²(1 − |n − h|²/4), without cancellation.
+            let off = sub(half, normal);
+            let distance2 = dot(off, off);
+            let sine2 = distance2 * distance2.times(-0.25).plus(1.0);
+            let spread = (alpha2.one() - alpha2).mul_add(sine2, alpha2);
+            alpha2 / (spread * spread).times(PI)
+        }
     }
-}
-
-/// α²/(π((n·h)²(α² − 1) + 1)²) with α = R², above the horizon. 1 − (n·h)² is |n − h|²(1 − |n − h|²/4), without cancellation.
-#[inline(always)]
-fn ggx<F: Real>(normal: Vec3Of<F>, half: Vec3Of<F>, roughness: F) -> F {
-    let square = roughness * roughness;
-    let alpha2 = square * square;
-    let off = sub(half, normal);
-    let distance2 = dot(off, off);
-    let sine2 = distance2 * distance2.times(-0.25).plus(1.0);
-    let spread = (alpha2.one() - alpha2).mul_add(sine2, alpha2);
-    alpha2 / (spread * spread).times(PI)
 }
 
 /// The specular part f_s = M·D (PhySG supp. eqs. 1–7) at unit directions to the viewer and to the light, for cosines above zero.

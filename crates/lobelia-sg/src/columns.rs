@@ -1,9 +1,7 @@
 //! Light lobes in columns, and the gradient with respect to the parameters that all points share.
 
-use crate::brdf::SpecularAdjoint;
 use crate::lanes::{MAX_LANES, Row};
-use crate::real::Vec3Of;
-use crate::sg::Lobe;
+use crate::{brdf::SpecularAdjoint, real::Vec3Of, sg::Lobe};
 
 /// Number of columns of a lobe: axis x, y, z, sharpness, amplitude r, g, b.
 pub const LOBE_COLUMNS: usize = 7;
@@ -105,7 +103,7 @@ pub struct SharedGradient {
 #[derive(Clone, Debug, Default)]
 pub struct ChunkSums {
     /// Of each chunk [`LOBE_COLUMNS`] rows per block of lobes, and a row for the specular material.
-    rows: Vec<Row>,
+    pub(crate) rows: Vec<Row>,
     lobes: usize,
 }
 
@@ -120,11 +118,6 @@ impl ChunkSums {
     /// Rows of a chunk.
     pub(crate) fn rows_of_chunk(&self) -> usize {
         self.lobes.div_ceil(MAX_LANES) * LOBE_COLUMNS + 1
-    }
-
-    /// The rows of all chunks.
-    pub(crate) fn rows_mut(&mut self) -> &mut [Row] {
-        &mut self.rows
     }
 
     /// Replaces the chunks by one that has these sums.
@@ -178,16 +171,6 @@ pub struct LobeVisibility<'a> {
 }
 
 impl<'a> LobeVisibility<'a> {
-    /// The visibility of chunk `index` of `count` points.
-    fn chunk(&self, index: usize, count: usize, stride: usize) -> Self {
-        let part =
-            |of: usize, each: usize| (index * count * each).min(of)..((index + 1) * count * each).min(of);
-        Self {
-            lobes: &self.lobes[part(self.lobes.len(), stride)],
-            points: &self.points[part(self.points.len(), 1)],
-        }
-    }
-
     /// The visibility of one point: its row of lobes (`None` if all light reaches it) and the part that does not depend on the lobe.
     #[inline(always)]
     pub fn point(
@@ -243,12 +226,19 @@ impl<'a> From<&'a LobeColumns> for Lighting<'a> {
 impl<'a> Lighting<'a> {
     /// The visibility of chunk `index` of `count` points each.
     pub fn chunk(&self, index: usize, count: usize) -> Option<LobeVisibility<'a>> {
-        self.visibility.map(|all| all.chunk(index, count, self.lobes.stride()))
+        let part =
+            |of: usize, each: usize| (index * count * each).min(of)..((index + 1) * count * each).min(of);
+        self.visibility.map(|LobeVisibility { lobes, points }| LobeVisibility {
+            lobes: &lobes[part(lobes.len(), self.lobes.stride)],
+            points: &points[part(points.len(), 1)],
+        })
     }
 
+    /// Checks that the visibility fits so many points.
+    ///
     /// # Panics
     /// If there is a visibility, but not one for each of `points` points.
-    pub(crate) fn check(&self, points: usize) {
+    pub fn check(&self, points: usize) {
         if let Some(visibility) = &self.visibility {
             assert_eq!(visibility.points.len(), points, "one visibility per point");
             let rows = [0, points * self.lobes.stride()];

@@ -39,4 +39,5 @@ pub mod two;
 pub mod workload;
 
 #[cfg(test)]
+#[path = "../tests/shading/cases.rs"]
 mod cases;

@@ -50,10 +50,7 @@ impl<F: Copy, const N: usize, const EACH: usize, const PARTS: usize> Terms<F>
     const LEN: usize = N + EACH * PARTS;
     #[inline(always)]
     fn from_fn(mut value: impl FnMut(usize) -> F) -> Self {
-        let mut shared = [value(0); N];
-        for (i, each) in shared.iter_mut().enumerate().skip(1) {
-            *each = value(i);
-        }
+        let shared = <[F; N] as Terms<F>>::from_fn(&mut value);
         let mut parts = [[shared[0]; EACH]; PARTS];
         for (p, part) in parts.iter_mut().enumerate() {
             for (i, each) in part.iter_mut().enumerate() {
@@ -137,7 +134,12 @@ pub struct PointEnd<'a, M: PairModel> {
     pub specular_light: &'a M::Specular<Vec3Of<f32>>,
 }
 
+/// Why a method of [`PairModel`] is not called.
+const CULLS_NOTHING: &str = "a model that culls nothing has no nodes";
+
 /// The formulas of a shading mode. All methods should be `#[inline(always)]`: they run inside SIMD loops.
+///
+/// The methods with a default are called only if [`PairModel::CULLS`] (the rules for [`NARROW`] and [`SMOOTH`], only if the model has them).
 pub trait PairModel: Copy + Send + Sync {
     /// Whether the kernels may skip the specular part of pairs by [`PairModel::reach`]. The kernels then evaluate the two parts of
     /// such a model separately, and its specular part must not read the terms of the lobe.
@@ -177,13 +179,15 @@ pub trait PairModel: Copy + Send + Sync {
         specular: &SpecularValue,
     ) -> Self::Specular<Vec3Of<f32>>;
 
-    /// Bounds of the specular light of the point; called only if [`PairModel::CULLS`].
-    fn reach<F: Real>(&self, point: &Self::Point<F>) -> Reach<F>;
+    /// Bounds of the specular light of the point.
+    fn reach<F: Real>(&self, _point: &Self::Point<F>) -> Reach<F> {
+        unreachable!("{CULLS_NOTHING}")
+    }
 
     /// How narrow a lobe is against the response of the point, and what the BRDF's largest value may be divided by for its axis. From 1
     /// on the lobe is for [`NARROW`].
-    fn narrow<F: Real>(&self, _point: &Self::Point<F>, shape: &Shape<F>) -> (F, F) {
-        (shape.sharpness.zero(), shape.sharpness.one())
+    fn narrow<F: Real>(&self, _point: &Self::Point<F>, _shape: &Shape<F>) -> (F, F) {
+        unreachable!("{CULLS_NOTHING}")
     }
 
     /// Whether a point may have lobes for [`SMOOTH`] at all.
@@ -193,58 +197,57 @@ pub trait PairModel: Copy + Send + Sync {
 
     /// How smooth the response of the point is over a lobe, given its axis times that of [`PairModel::reach`]. Above 0 the lobe is
     /// for [`SMOOTH`], unless the model has [`NARROW`] and the lobe is not for that.
-    fn smooth<F: Real>(&self, _point: &Self::Point<F>, shape: &Shape<F>, _reached: F) -> F {
-        shape.sharpness.zero()
+    fn smooth<F: Real>(&self, _point: &Self::Point<F>, _shape: &Shape<F>, _reached: F) -> F {
+        unreachable!("{CULLS_NOTHING}")
     }
 
-    /// The irradiance from a lobe: that of [`PairModel::evaluate`], with its derivatives; called only if [`PairModel::CULLS`].
-    fn irradiance<F: Real>(&self, point: &Self::Point<F>, shape: &Shape<F>, lobe: &Self::Lobe<F>) -> Dual<F>;
+    /// The irradiance from a lobe: that of [`PairModel::evaluate`], with its derivatives.
+    fn irradiance<F: Real>(&self, _: &Self::Point<F>, _shape: &Shape<F>, _lobe: &Self::Lobe<F>) -> Dual<F> {
+        unreachable!("{CULLS_NOTHING}")
+    }
 
-    /// Prepares the rule for a lobe for [`SMOOTH`], given its 1/√λ and the irradiance from it;
-    /// called only if [`PairModel::HAS_SMOOTH`].
-    fn place_smooth<F: Real>(
+    /// Places the nodes of the specular part `PART` of a pair, given 1/√λ of the lobe, and for [`SMOOTH`] the irradiance from it.
+    fn place<F: Real, const PART: Part>(
         &self,
-        point: &Self::Point<F>,
-        shape: &Shape<F>,
-        width: F,
-        irradiance: Dual<F>,
-    ) -> Self::Placed<F>;
-
-    /// [`PairModel::place_smooth`] for two lobes together.
-    fn place_two_smooth<F: Real>(
-        &self,
-        point: &Self::Point<F>,
-        shapes: [&Shape<F>; 2],
-        widths: [F; 2],
-        irradiances: [Dual<F>; 2],
-    ) -> [Self::Placed<F>; 2];
-
-    /// Places the nodes of the specular part `PART` of a pair; called only if [`PairModel::CULLS`].
-    fn place<F: Real, const PART: Part>(&self, point: &Self::Point<F>, shape: &Shape<F>) -> Self::Placed<F>;
+        _point: &Self::Point<F>,
+        _shape: &Shape<F>,
+        _width: F,
+        _irradiance: Dual<F>,
+    ) -> Self::Placed<F> {
+        unreachable!("{CULLS_NOTHING}")
+    }
 
     /// [`PairModel::place`] for two pairs of a point together, which takes less time than one after the other.
     fn place_two<F: Real, const PART: Part>(
         &self,
-        point: &Self::Point<F>,
-        shapes: [&Shape<F>; 2],
-    ) -> [Self::Placed<F>; 2];
+        _point: &Self::Point<F>,
+        _shapes: [&Shape<F>; 2],
+        _widths: [F; 2],
+        _irradiances: [Dual<F>; 2],
+    ) -> [Self::Placed<F>; 2] {
+        unreachable!("{CULLS_NOTHING}")
+    }
 
-    /// The specular part `PART` of a pair, given its nodes; called only if [`PairModel::CULLS`].
+    /// The specular part `PART` of a pair, given its nodes.
     fn specular<F: Real, const PART: Part>(
         &self,
-        point: &Self::Point<F>,
-        shape: &Shape<F>,
-        placed: &Self::Placed<F>,
-    ) -> Self::Specular<F>;
+        _point: &Self::Point<F>,
+        _shape: &Shape<F>,
+        _placed: &Self::Placed<F>,
+    ) -> Self::Specular<F> {
+        unreachable!("{CULLS_NOTHING}")
+    }
 
-    /// [`PairModel::specular`] and its adjoints, given the adjoint of each term; called only if [`PairModel::CULLS`].
+    /// [`PairModel::specular`] and its adjoints, given the adjoint of each term.
     fn pull_back_specular<F: Real, const PART: Part>(
         &self,
-        point: &Self::Point<F>,
-        shape: &Shape<F>,
-        placed: &Self::Placed<F>,
-        adjoint: &Self::Specular<F>,
-    ) -> (Self::Specular<F>, PairAdjoint<F, Self::Sums<F>>);
+        _point: &Self::Point<F>,
+        _shape: &Shape<F>,
+        _placed: &Self::Placed<F>,
+        _adjoint: &Self::Specular<F>,
+    ) -> (Self::Specular<F>, PairAdjoint<F, Self::Sums<F>>) {
+        unreachable!("{CULLS_NOTHING}")
+    }
 
     /// Evaluates one point × lobe.
     fn evaluate<F: Real, const PART: Part>(

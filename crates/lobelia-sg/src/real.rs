@@ -85,32 +85,33 @@ pub trait Real:
     }
 }
 
+macro_rules! inherent {
+    ($($method:ident($($other:ident)?);)*) => {
+        $(#[inline(always)]
+        fn $method(self, $($other: Self)?) -> Self {
+            self.$method($($other)?)
+        })*
+    };
+}
+
 macro_rules! scalar_real {
     ($t:ty, $halved_exponent:expr) => {
         impl Real for $t {
+            inherent! {
+                sqrt();
+                exp();
+                abs();
+                max(other);
+                min(other);
+                copysign(sign);
+            }
             #[inline(always)]
             fn lit(self, value: f64) -> Self {
                 value as $t
             }
             #[inline(always)]
-            fn sqrt(self) -> Self {
-                self.sqrt()
-            }
-            #[inline(always)]
-            fn exp(self) -> Self {
-                self.exp()
-            }
-            #[inline(always)]
             fn decay(self) -> Self {
                 self.exp()
-            }
-            #[inline(always)]
-            fn max(self, other: Self) -> Self {
-                self.max(other)
-            }
-            #[inline(always)]
-            fn min(self, other: Self) -> Self {
-                self.min(other)
             }
             #[inline(always)]
             fn select_lt(self, bound: Self, yes: Self, no: Self) -> Self {
@@ -119,14 +120,6 @@ macro_rules! scalar_real {
             #[inline(always)]
             fn any_lt(self, bound: Self) -> bool {
                 self < bound
-            }
-            #[inline(always)]
-            fn abs(self) -> Self {
-                self.abs()
-            }
-            #[inline(always)]
-            fn copysign(self, sign: Self) -> Self {
-                self.copysign(sign)
             }
             #[inline(always)]
             fn mul_add(self, a: Self, b: Self) -> Self {
@@ -147,6 +140,18 @@ macro_rules! scalar_real {
 }
 scalar_real!(f32, 0x5f37_59df);
 scalar_real!(f64, 0x5fe6_eb3b_e000_0000);
+
+/// A polynomial; the constant term comes first.
+#[inline(always)]
+pub fn polynomial<F: Real, const N: usize>(x: F, coefficients: &[f64; N]) -> F {
+    let mut p = x.lit(coefficients[N - 1]);
+    let mut i = N - 1;
+    while i > 0 {
+        i -= 1;
+        p = p.mul_plus(x, coefficients[i]);
+    }
+    p
+}
 
 /// Three reals: a direction, a position or a color.
 pub type Vec3Of<F> = [F; 3];

@@ -1,14 +1,9 @@
 //! Random points, lobes and visibilities, and what kernels make of them.
 
 use super::whole::Whole;
-use crate::{Adjoints, Gpu};
-use lobelia_sg::accurate::ACCURATE_DEFAULT;
-use lobelia_sg::brdf::{Ndf, SpecularValue};
-use lobelia_sg::columns::{Layers, PointAdjoint, RadianceAdjoint, RadianceColumns, ShadePoint};
-use lobelia_sg::columns::{Lighting, LobeVisibility, PointVisibility};
-use lobelia_sg::columns::{LobeColumns, SharedGradient};
-use lobelia_sg::sg::Lobe;
-use lobelia_sg::shading::{ClosedForm, shade_adjoint_with, shade_with};
+use crate::Gpu;
+use lobelia_sg::shading::*;
+use lobelia_sg::{accurate::ACCURATE_DEFAULT, brdf::Ndf, sg::Lobe};
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
 /// A batch and its visibility.
@@ -78,6 +73,11 @@ impl Batch {
         let with =
             |lobes| Lighting { lobes: &self.lobes, visibility: Some(LobeVisibility { lobes, points }) };
         [Lighting::from(&self.lobes), with(&[]), with(&self.rows[..])]
+    }
+
+    /// The call that shades the batch.
+    pub fn call<'a>(&'a self, form: ClosedForm, lighting: Lighting<'a>) -> ShadeCall<'a> {
+        ShadeCall { form, points: &self.points, specular: &self.specular, lighting }
     }
 
     pub fn radiance<'a>(&'a self, shaded: &'a [Layers]) -> RadianceColumns<'a> {
@@ -154,13 +154,13 @@ impl Results {
         lighting: Lighting<'_>,
         shaded: &[Layers],
     ) -> Self {
-        let (inputs, specular) = (&batch.points[..], &batch.specular);
-        let mut own = vec![Layers::default(); inputs.len()];
-        let mut points = vec![PointAdjoint::default(); inputs.len()];
-        let mut shared = SharedGradient::default();
-        gpu.shade(form, inputs, specular, lighting, &mut own).unwrap();
-        let out = Adjoints { points: &mut points, shared: &mut shared };
-        gpu.shade_adjoint(form, inputs, specular, lighting, batch.radiance(shaded), out).unwrap();
+        let call = batch.call(form, lighting);
+        let mut own = vec![Layers::default(); shaded.len()];
+        let mut points = vec![PointAdjoint::default(); shaded.len()];
+        let (mut sums, mut shared) = (ChunkSums::default(), SharedGradient::default());
+        gpu.shade(call, &mut own).unwrap();
+        gpu.shade_adjoint(call, batch.radiance(shaded), &mut points, &mut sums).unwrap();
+        sums.total_into(&mut shared);
         Self::new(own, points, &shared)
     }
 

@@ -3,16 +3,10 @@
 mod batch;
 mod whole;
 
-use crate::shade::MOST_LOBES;
-use crate::{Adjoints, Gpu, GpuError};
+use crate::{Gpu, device::NO_ADAPTER, shade::MOST_LOBES};
 use batch::{Batch, Results};
-use lobelia_sg::accurate::Quality;
-use lobelia_sg::brdf::{Ndf, SpecularValue};
-use lobelia_sg::columns::Layers;
-use lobelia_sg::columns::SharedGradient;
-use lobelia_sg::columns::{Lighting, LobeVisibility};
-use lobelia_sg::shading::ClosedForm;
-use lobelia_sg::workload::Workload;
+use lobelia_sg::shading::{ClosedForm, Layers, Lighting, PairLoops, ShadeCall, SpecularValue};
+use lobelia_sg::{accurate::Quality, brdf::Ndf, workload::Workload};
 use std::sync::OnceLock;
 
 const FORMS: [ClosedForm; 2] = [ClosedForm::Published, ClosedForm::Accurate(Quality::Default)];
@@ -29,8 +23,8 @@ fn gpu() -> Option<&'static Gpu> {
     static OPEN: OnceLock<Option<Gpu>> = OnceLock::new();
     let open = || match Gpu::open(None) {
         Ok(gpu) => Some(gpu),
-        Err(GpuError::NoAdapter) => {
-            eprintln!("no GPU adapter: not tested");
+        Err(error) if error == NO_ADAPTER => {
+            eprintln!("{error}: not tested");
             None
         }
         Err(error) => panic!("{error}"),
@@ -65,7 +59,8 @@ fn what_the_cpu_leaves_out_is_small() {
         work.shade(form);
         let mut own = vec![Layers::default(); work.points.len()];
         let lighting = Lighting::from(&work.lobes);
-        gpu.shade(form, &work.points, &work.specular, lighting, &mut own).unwrap();
+        let call = ShadeCall { form, points: &work.points, specular: &work.specular, lighting };
+        gpu.shade(call, &mut own).unwrap();
         let specular = |layers: &[Layers]| layers.iter().flat_map(|l| l.specular).collect::<Vec<_>>();
         let (cpu, own) = (specular(&work.shaded), specular(&own));
         let apart = cpu.iter().zip(&own).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
@@ -107,9 +102,8 @@ fn batches_do_not_change_results() {
     }
     let batch = Batch::new(3, 70, 0.3);
     let mut out = vec![Layers::default(); 3];
-    let lighting = Lighting::from(&batch.lobes);
-    let error = small.shade(FORMS[0], &batch.points, &batch.specular, lighting, &mut out).unwrap_err();
-    assert_eq!(error, GpuError::TooManyLobes { lobes: 70, most: 64 });
+    let error = small.shade(batch.call(FORMS[0], batch.lightings()[0]), &mut out).unwrap_err();
+    assert_eq!(error, "70 lobes are more than the GPU takes; at most 64");
 }
 
 #[test]
@@ -131,8 +125,7 @@ fn threads_may_share_a_gpu() {
     let batch = Batch::new(100, 21, 0.3);
     let shade = &|form: ClosedForm| {
         let mut out = vec![Layers::default(); 100];
-        let lighting = Lighting::from(&batch.lobes);
-        gpu.shade(form, &batch.points, &batch.specular, lighting, &mut out).unwrap();
+        gpu.shade(batch.call(form, batch.lightings()[0]), &mut out).unwrap();
         out
     };
     let alone = FORMS.map(shade);
@@ -164,48 +157,20 @@ fn nothing_may_be_empty() {
 
 #[test]
 fn what_is_not_there_is_an_error() {
-    assert!(Gpu::supports(ClosedForm::Published, Ndf::Ggx));
-    assert!(Gpu::supports(ClosedForm::Accurate(Quality::Default), Ndf::Sg));
-    let missing =
-        [(Quality::High, Ndf::Sg), (Quality::Default, Ndf::Ggx)].map(|(q, n)| (ClosedForm::Accurate(q), n));
-    assert!(missing.iter().all(|(form, ndf)| !Gpu::supports(*form, *ndf)));
     let Some(gpu) = gpu() else { return };
+    assert!(gpu.supports(ClosedForm::Published, Ndf::Ggx));
+    assert!(gpu.supports(ClosedForm::Accurate(Quality::Default), Ndf::Sg));
     let batch = Batch::new(5, 3, 0.3);
     let mut out = vec![Layers::default(); 5];
-    for (form, ndf) in missing {
-        let specular = SpecularValue { ndf, ..batch.specular };
-        let error =
-            gpu.shade(form, &batch.points, &specular, Lighting::from(&batch.lobes), &mut out).unwrap_err();
-        assert_eq!(error, GpuError::Unsupported { form, ndf });
+    for (quality, ndf) in [(Quality::High, Ndf::Sg), (Quality::Default, Ndf::Ggx)] {
+        let form = ClosedForm::Accurate(quality);
+        assert!(!gpu.supports(form, ndf));
+        let specular = &SpecularValue { ndf, ..batch.specular };
+        let call = ShadeCall { specular, ..batch.call(form, batch.lightings()[0]) };
+        let error = gpu.shade(call, &mut out).unwrap_err();
+        assert!(error.ends_with("is not on the GPU; shade on the CPU"), "{error}");
     }
-    let error = Gpu::open(Some("no such GPU")).unwrap_err().to_string();
-    assert!(error.contains("\"no such GPU\"") && error.contains(gpu.name()), "{error}");
-    let name = gpu.name().to_uppercase();
-    assert_eq!(Gpu::open(Some(&name)).unwrap().name(), gpu.name());
-    assert_eq!(Gpu::names()[0], gpu.name());
-}
-
-#[test]
-fn wrong_lengths_are_errors() {
-    let Some(gpu) = gpu() else { return };
-    let (form, batch) = (ClosedForm::default(), Batch::new(5, 3, 0.3));
-    let [open, around, rows] = batch.lightings();
-    let call = |lighting: Lighting<'_>, points: usize, out: usize| {
-        let mut out = vec![Layers::default(); out];
-        gpu.shade(form, &batch.points[..points], &batch.specular, lighting, &mut out).unwrap_err()
-    };
-    let length = |what, found, expected| GpuError::Length { what, found, expected };
-    assert_eq!(call(open, 5, 4), length("radiance", 4, 5));
-    assert_eq!(call(around, 4, 4), length("visibility of points", 5, 4));
-    let short = Lighting {
-        visibility: Some(LobeVisibility { lobes: &batch.rows[1..], points: &batch.around }),
-        ..rows
-    };
-    assert_eq!(call(short, 5, 5), length("visibility of lobes", 79, 80));
-    let shaded = vec![Layers::default(); 5];
-    let mut shared = SharedGradient::default();
-    let out = Adjoints { points: &mut [], shared: &mut shared };
-    let radiance = batch.radiance(&shaded);
-    let error = gpu.shade_adjoint(form, &batch.points, &batch.specular, open, radiance, out).unwrap_err();
-    assert_eq!(error, length("adjoints of points", 0, 5));
+    let error = Gpu::open(Some("no such GPU")).unwrap_err();
+    assert!(error.contains("\"no such GPU\"") && error.contains(&gpu.name), "{error}");
+    assert_eq!(Gpu::open(Some(&gpu.name.to_uppercase())).unwrap().name, gpu.name);
 }

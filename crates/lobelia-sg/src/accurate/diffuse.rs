@@ -1,6 +1,6 @@
 //! The integral of an SG times the clamped cosine, in closed form, and the complementary error function it needs.
 
-use crate::real::Real;
+use crate::real::{Real, polynomial};
 use crate::sg::Dual;
 use std::f64::consts::PI;
 
@@ -22,21 +22,12 @@ const SCALED_ERFC: [f64; 10] = [
 #[inline(always)]
 pub fn scaled_erfc<F: Real>(x: F) -> F {
     let s = x.times(0.36).plus(1.0).inverse();
-    let z = s.times(2.0).plus(-1.0);
-    let mut p = x.lit(SCALED_ERFC[9]);
-    let mut i = 9;
-    while i > 0 {
-        i -= 1;
-        p = p.mul_add(z, x.lit(SCALED_ERFC[i]));
-    }
-    p * s
+    polynomial(s.times(2.0).plus(-1.0), &SCALED_ERFC) * s
 }
 
-/// (1 − e^(−z))/z for small z ≥ 0 (below 0.5: error 1e-8).
-#[inline(always)]
-fn mean_exponential<F: Real>(z: F) -> F {
-    polynomial(z, [1.0, -0.5, 1.0 / 6.0, -1.0 / 24.0, 1.0 / 120.0, -1.0 / 720.0, 1.0 / 5040.0])
-}
+/// Coefficients of (1 − e^(−z))/z for small z ≥ 0 (below 0.5: error 1e-8).
+const MEAN_EXPONENTIAL: [f64; 7] =
+    [1.0, -0.5, 1.0 / 6.0, -1.0 / 24.0, 1.0 / 120.0, -1.0 / 720.0, 1.0 / 5040.0];
 
 /// e^x for x ≤ 0, at least 1e-26: later factors reduce it further, and subnormal numbers are slow.
 #[inline(always)]
@@ -73,65 +64,30 @@ fn extremes<F: Real>(l: F) -> (WithDerivative<F>, WithDerivative<F>) {
     let q = (g - e) * inverse;
     let closed = [up, -(g_prime + up) * inverse, q, (g_prime + e - q) * inverse];
     let series = [
-        polynomial(l, [0.5, -1.0 / 6.0, 1.0 / 24.0, -1.0 / 120.0, 1.0 / 720.0, -1.0 / 5040.0, 1.0 / 40320.0]),
-        polynomial(l, [-1.0 / 6.0, 1.0 / 12.0, -1.0 / 40.0, 1.0 / 180.0, -1.0 / 1008.0, 1.0 / 6720.0, 0.0]),
-        polynomial(l, [0.5, -1.0 / 3.0, 0.125, -1.0 / 30.0, 1.0 / 144.0, -1.0 / 840.0, 1.0 / 5760.0]),
-        polynomial(l, [-1.0 / 3.0, 0.25, -0.1, 1.0 / 36.0, -1.0 / 168.0, 1.0 / 960.0, 0.0]),
+        polynomial(
+            l,
+            &[0.5, -1.0 / 6.0, 1.0 / 24.0, -1.0 / 120.0, 1.0 / 720.0, -1.0 / 5040.0, 1.0 / 40320.0],
+        ),
+        polynomial(l, &[-1.0 / 6.0, 1.0 / 12.0, -1.0 / 40.0, 1.0 / 180.0, -1.0 / 1008.0, 1.0 / 6720.0, 0.0]),
+        polynomial(l, &[0.5, -1.0 / 3.0, 0.125, -1.0 / 30.0, 1.0 / 144.0, -1.0 / 840.0, 1.0 / 5760.0]),
+        polynomial(l, &[-1.0 / 3.0, 0.25, -0.1, 1.0 / 36.0, -1.0 / 168.0, 1.0 / 960.0, 0.0]),
     ];
-    let [mut up, mut up_prime, mut q, mut q_prime] = closed;
-    up = l.select_lt(bound, series[0], up);
-    up_prime = l.select_lt(bound, series[1], up_prime);
-    q = l.select_lt(bound, series[2], q);
-    q_prime = l.select_lt(bound, series[3], q_prime);
+    let either = |i: usize| l.select_lt(bound, series[i], closed[i]);
+    let (up, up_prime, q, q_prime) = (either(0), either(1), either(2), either(3));
     ((up, up_prime), (e * q, e * (q_prime - q)))
 }
 
-/// Polynomial; the constant term comes first.
+/// The terms of the diffuse integral that depend on a lobe's sharpness only: t(λ), the integrals over 2π for an axis along the normal and
+/// against it, each with its derivative; e^(−t²), and e^(−t²) times the scaled complementary error function of t.
+pub type SharpnessTerms<F> = [F; 8];
+
+/// [`SharpnessTerms`] for λ ≥ 0.
 #[inline(always)]
-fn polynomial<F: Real>(x: F, coefficients: [f64; 7]) -> F {
-    let mut p = x.lit(coefficients[6]);
-    let mut i = 6;
-    while i > 0 {
-        i -= 1;
-        p = p.mul_add(x, x.lit(coefficients[i]));
-    }
-    p
-}
-
-/// The terms of the diffuse integral that depend on a lobe's sharpness only.
-#[derive(Clone, Copy)]
-pub struct SharpnessTerms<F> {
-    steepness: WithDerivative<F>,
-    up: WithDerivative<F>,
-    low: WithDerivative<F>,
-    /// e^(−t²), and e^(−t²) times the scaled complementary error function of t.
-    axis: WithDerivative<F>,
-}
-
-impl<F: Real> SharpnessTerms<F> {
-    /// For λ ≥ 0.
-    #[inline(always)]
-    pub fn new(sharpness: F) -> Self {
-        let steepness = steepness(sharpness);
-        let axis = fading_exp(-(steepness.0 * steepness.0));
-        let (up, low) = extremes(sharpness);
-        Self { steepness, up, low, axis: (axis, axis * scaled_erfc(steepness.0)) }
-    }
-}
-
-impl<F: Copy> SharpnessTerms<F> {
-    /// In the order that [`SharpnessTerms::from_array`] takes.
-    #[inline(always)]
-    pub fn to_array(self) -> [F; 8] {
-        let [t, up, low, axis] = [self.steepness, self.up, self.low, self.axis];
-        [t.0, t.1, up.0, up.1, low.0, low.1, axis.0, axis.1]
-    }
-
-    /// Back from [`SharpnessTerms::to_array`].
-    #[inline(always)]
-    pub fn from_array([t, dt, up, dup, low, dlow, axis, tail]: [F; 8]) -> Self {
-        Self { steepness: (t, dt), up: (up, dup), low: (low, dlow), axis: (axis, tail) }
-    }
+pub fn sharpness_terms<F: Real>(sharpness: F) -> SharpnessTerms<F> {
+    let (t, t_prime) = steepness(sharpness);
+    let axis = fading_exp(-(t * t));
+    let ((up, up_prime), (low, low_prime)) = extremes(sharpness);
+    [t, t_prime, up, up_prime, low, low_prime, axis, axis * scaled_erfc(t)]
 }
 
 /// ∫ exp(λ(ω·ξ − 1)) max(n·ω, 0) dω for λ ≥ 0 and c = ξ·n, with its two derivatives.
@@ -141,7 +97,7 @@ impl<F: Copy> SharpnessTerms<F> {
 /// Always in [0, π].
 #[inline(always)]
 pub fn cosine_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
-    prepared_cosine_integral(&SharpnessTerms::new(sharpness), c)
+    prepared_cosine_integral(&sharpness_terms(sharpness), c)
 }
 
 /// [`cosine_integral`] with precomputed terms of the sharpness.
@@ -149,20 +105,20 @@ pub fn cosine_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
 pub fn prepared_cosine_integral<F: Real>(terms: &SharpnessTerms<F>, c: F) -> Dual<F> {
     let (zero, one) = (c.zero(), c.one());
     let c = c.max(-one).min(one);
-    let (t, t_prime) = terms.steepness;
+    let [t, t_prime, up, up_prime, low, low_prime, axis, axis_tail] = *terms;
     let tc = t * c;
     let (t_squared, tc_abs) = (t * t, tc.max(-tc));
-    let ((axis, axis_tail), edge) = (terms.axis, fading_exp(-(tc * tc)));
+    let edge = fading_exp(-(tc * tc));
     // erfc(−tc), and (e^(−t²) − e^(−t²c²))/(2√π·t²), by series where the difference cancels.
     let tail = edge * scaled_erfc(tc_abs);
     let share = tc.select_lt(zero, tail, one + one - tail);
     let z = t_squared * ((one - c) * (one + c));
     let bound = c.lit(0.5);
-    let mean = z.select_lt(bound, edge * mean_exponential(z), (edge - axis) * z.max(bound).inverse());
+    let mean =
+        z.select_lt(bound, edge * polynomial(z, &MEAN_EXPONENTIAL), (edge - axis) * z.max(bound).inverse());
     let difference = -(mean * (one - c) * (one + c)).times(0.5 / PI.sqrt());
     let blend = (c * share + axis_tail).times(0.5) - difference * t;
     let blend = blend.max(zero).min(one);
-    let ((up, up_prime), (low, low_prime)) = (terms.up, terms.low);
     let span = up - low;
     let by_sharpness = (up_prime - low_prime).mul_add(blend, low_prime) + span * difference * t_prime;
     Dual {

@@ -39,8 +39,6 @@ mod smooth;
 mod specular;
 
 #[cfg(test)]
-mod cubature;
-#[cfg(test)]
 mod tests;
 
 use serde::{Deserialize, Serialize};

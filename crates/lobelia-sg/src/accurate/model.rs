@@ -1,59 +1,23 @@
 //! The accurate integrals as a [`PairModel`].
 
 use super::adjoint::{pull_back_diffuse, pull_back_nodes, pull_back_specular};
-use super::diffuse::{SharpnessTerms, prepared_cosine_integral};
-use super::ggx::{GGX_TERMS, ggx_terms};
+use super::diffuse::{prepared_cosine_integral, sharpness_terms};
+use super::ggx::{GGX_TERMS, GgxSgs};
 use super::narrow::{MOST_SGS, mirror, narrowness};
 use super::pair::{evaluate_specular, place_sgs, sum_nodes};
 use super::placement::{GGX, LocalLight, Placement, SG, place, place_two};
 use super::point;
 use super::point::{
-    NdfTerms, PointDerivatives, PointSums, PointTerms, one_sg, prepare_with_ndf, pull_back_point,
+    Mixture, NdfTerms, OneSg, PointDerivatives, PointSums, PointTerms, prepare_with_ndf, pull_back_point,
 };
 use super::smooth::{Ring, broadness, pull_back_smooth, smooth_light, smoothness};
-use crate::brdf::{Facets, Ndf, SpecularAdjoint, SpecularValue, shadowing_k};
-use crate::model;
+use crate::brdf::{SpecularAdjoint, SpecularValue};
 use crate::model::{
     DIFFUSE, NARROW, PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response, SMOOTH, SPECULAR,
 };
 use crate::real::{Real, Vec3Of, add, dot};
 use crate::sg::{Dual, Shape};
-use crate::two::Two;
-
-/// An NDF of one SG in h, or of several followed by the distribution that they approximate.
-pub trait Mixture<const NDF: usize>: Copy + Send + Sync {
-    /// The distribution that its shadowing term belongs to.
-    const KIND: Ndf;
-
-    /// [L, w] of every SG, D = Σ w·(L/2π)·e^{L(h·n − 1)}, and their [dL/dR, d(ln w)/dR].
-    fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; NDF], [[F; 2]; NDF]);
-}
-
-/// The NDF of PhySG supp. eq. 4.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct OneSg;
-
-impl Mixture<1> for OneSg {
-    const KIND: Ndf = Ndf::Sg;
-
-    #[inline(always)]
-    fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; 1], [[F; 2]; 1]) {
-        one_sg(roughness)
-    }
-}
-
-/// [`super::ggx`].
-#[derive(Clone, Copy, Debug, Default)]
-pub struct GgxSgs;
-
-impl Mixture<GGX_TERMS> for GgxSgs {
-    const KIND: Ndf = Ndf::Ggx;
-
-    #[inline(always)]
-    fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; GGX_TERMS], [[F; 2]; GGX_TERMS]) {
-        ggx_terms(roughness)
-    }
-}
+use crate::{model, two::Two};
 
 /// The accurate integrals with `ALONG` × `ACROSS` nodes for the specular part (2 to 4, 1 to 3) of each of the SGs of an
 /// NDF. `NDF` is 1 for one SG; for several, one more than there are, for the distribution itself.
@@ -176,20 +140,13 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
         to_viewer: Vec3Of<F>,
         roughness: F,
     ) -> (Self::Point<F>, Self::Frozen<F>) {
-        let (ndf, derivatives) = self.0.of(roughness);
-        let (terms, derivatives) = prepare_with_ndf(
-            normal,
-            to_viewer,
-            shadowing_k(Facets { ndf: D::KIND, roughness }),
-            ndf,
-            derivatives,
-        );
+        let (terms, derivatives) = prepare_with_ndf::<F, D, NDF>(normal, to_viewer, roughness);
         (terms.to_numbers(), ([derivatives.shadowing], derivatives.ndf))
     }
 
     #[inline(always)]
     fn prepare_lobe<F: Real>(&self, sharpness: F) -> [F; 8] {
-        SharpnessTerms::new(sharpness).to_array()
+        sharpness_terms(sharpness)
     }
 
     #[inline(always)]
@@ -228,40 +185,21 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
     #[inline(always)]
     fn irradiance<F: Real>(&self, point: &Self::Point<F>, shape: &Shape<F>, lobe: &[F; 8]) -> Dual<F> {
         let normal = PointTerms::from_numbers(*point).frame[2];
-        prepared_cosine_integral(&SharpnessTerms::from_array(*lobe), dot(normal, shape.axis))
+        prepared_cosine_integral(lobe, dot(normal, shape.axis))
     }
 
     #[inline(always)]
-    fn place_smooth<F: Real>(
+    fn place<F: Real, const PART: Part>(
         &self,
         point: &Self::Point<F>,
         shape: &Shape<F>,
         width: F,
         irradiance: Dual<F>,
     ) -> Self::Placed<F> {
-        let light = LocalLight::new(&PointTerms::from_numbers(*point), shape);
-        Placed::Smooth(Ring::new(&light, width), irradiance)
-    }
-
-    #[inline(always)]
-    fn place_two_smooth<F: Real>(
-        &self,
-        point: &Self::Point<F>,
-        [one, two]: [&Shape<F>; 2],
-        [a, b]: [F; 2],
-        [first, second]: [Dual<F>; 2],
-    ) -> [Self::Placed<F>; 2] {
-        let point = PointTerms::from_numbers(*point);
-        let light = LocalLight::two(&LocalLight::new(&point, one), &LocalLight::new(&point, two));
-        let [one, two] = Ring::new(&light, Two(a, b)).split();
-        [Placed::Smooth(one, first), Placed::Smooth(two, second)]
-    }
-
-    #[inline(always)]
-    fn place<F: Real, const PART: Part>(&self, point: &Self::Point<F>, shape: &Shape<F>) -> Self::Placed<F> {
         let point = PointTerms::from_numbers(*point);
         let light = LocalLight::new(&point, shape);
         match (PART, NDF) {
+            (SMOOTH, _) => Placed::Smooth(Ring::new(&light, width), irradiance),
             (NARROW, _) => Placed::Peak(place::<F, GGX>(point.view, &point.ndf[NDF - 1], &light)),
             (_, 1) => Placed::Peak(place::<F, SG>(point.view, &point.ndf[0], &light)),
             _ => Placed::Peaks,
@@ -273,11 +211,17 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
         &self,
         point: &Self::Point<F>,
         [one, two]: [&Shape<F>; 2],
+        [a, b]: [F; 2],
+        [first, second]: [Dual<F>; 2],
     ) -> [Self::Placed<F>; 2] {
         let point = PointTerms::from_numbers(*point);
         let (ndf, view) = (&point.ndf[NDF - 1], point.view);
         let lights = [&LocalLight::new(&point, one), &LocalLight::new(&point, two)];
         let [one, two] = match (PART, NDF) {
+            (SMOOTH, _) => {
+                let [one, two] = Ring::new(&LocalLight::two(lights[0], lights[1]), Two(a, b)).split();
+                return [Placed::Smooth(one, first), Placed::Smooth(two, second)];
+            }
             (NARROW, _) => place_two::<F, GGX>(view, [ndf, ndf], lights),
             (_, 1) => place_two::<F, SG>(view, [ndf, ndf], lights),
             _ => return [Placed::Peaks; 2],

@@ -5,9 +5,8 @@
 //! over √(1/β + |X|²), with 4|X|² ≥ |ξ − r|² for the mirror direction r. The lobe is narrow if it has at least [`NARROWNESS`] times the
 //! curvature 4/(1/β + |X|²) of GGX, the latter not taken to be below 4β/[`FLATTEST`].
 
-use super::ggx::GGX_LOBES;
 use super::placement::{GGX, Tail};
-use super::point::PointTerms;
+use super::{ggx::GGX_LOBES, point::PointTerms};
 use crate::real::{Real, Vec3Of, add, dot, scale};
 use std::ops::Range;
 

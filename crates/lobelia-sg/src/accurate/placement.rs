@@ -10,8 +10,7 @@
 use super::point::{NdfTerms, PointTerms};
 use super::rule::Clipped;
 use crate::real::{Real, Vec3Of};
-use crate::sg::Shape;
-use crate::two::Two;
+use crate::{sg::Shape, two::Two};
 
 /// Two reals: a point or a vector of the chart, or the parts of a direction along tangent and normal.
 pub(super) type Vec2Of<F> = [F; 2];
@@ -67,24 +66,19 @@ impl<F: Copy> Placement<Two<F>> {
     /// The first and the second.
     #[inline(always)]
     fn split(self) -> [Placement<F>; 2] {
-        let Self { peak: [p, q], along: [a, b], across: [c, d], clipped, weight } = self;
-        let [one, two] = clipped.split();
-        [
-            Placement {
-                peak: [p.0, q.0],
-                along: [a.0, b.0],
-                across: [c.0, d.0],
-                clipped: one,
-                weight: weight.0,
-            },
-            Placement {
-                peak: [p.1, q.1],
-                along: [a.1, b.1],
-                across: [c.1, d.1],
-                clipped: two,
-                weight: weight.1,
-            },
-        ]
+        [self.each(|two| two.0), self.each(|two| two.1)]
+    }
+
+    #[inline(always)]
+    fn each(&self, one: impl Fn(Two<F>) -> F) -> Placement<F> {
+        let pair = |[x, y]: Vec2Of<Two<F>>| [one(x), one(y)];
+        Placement {
+            peak: pair(self.peak),
+            along: pair(self.along),
+            across: pair(self.across),
+            clipped: self.clipped.each(&one),
+            weight: one(self.weight),
+        }
     }
 }
 
@@ -305,37 +299,6 @@ fn hessian<F: Real, const TAIL: Tail>(
     Symmetric::new(isotropic, radial, view_gradient, rounding, x, mixed)
 }
 
-/// The logarithm of the integrand to second order at X, without n·ω.
-struct Expansion<F> {
-    cosine: F,
-    cosine_gradient: Vec2Of<F>,
-    gradient: Vec2Of<F>,
-    hessian: Symmetric<F>,
-}
-
-#[inline(always)]
-fn expand<F: Real, const TAIL: Tail>(
-    view: Vec2Of<F>,
-    ndf: &NdfTerms<F>,
-    light: &LocalLight<F>,
-    x: Vec2Of<F>,
-) -> Expansion<F> {
-    let at = ChartPoint::new(x);
-    let cosines = Cosines::new(view, &at);
-    let Cosines { view_half, view_gradient, over_half, .. } = cosines;
-    let (axis_half, axis_gradient) = at.axis_half(light.axis);
-    let double = light.sharpness.times(2.0);
-    let gradient =
-        combine(double * view_half, axis_gradient, double.mul_add(axis_half, over_half), view_gradient);
-    let (pulls, hollow) = pull_of_ndf::<F, TAIL>(ndf, at.radius2, at.up);
-    Expansion {
-        cosine: cosines.cosine,
-        cosine_gradient: combine(at.up.times(2.0), view_gradient, -(view_half.times(2.0)), x),
-        gradient: [(-pulls).mul_add(x[0], gradient[0]), (-pulls).mul_add(x[1], gradient[1])],
-        hessian: hessian::<F, TAIL>(light.sharpness, &at, &cosines, pulls, hollow),
-    }
-}
-
 /// Places the rule for one light and one SG of the NDF.
 #[inline(always)]
 pub(super) fn place<F: Real, const TAIL: Tail>(
@@ -344,19 +307,29 @@ pub(super) fn place<F: Real, const TAIL: Tail>(
     light: &LocalLight<F>,
 ) -> Placement<F> {
     let x = start::<F, TAIL>(view, ndf, light);
-    let at = expand::<F, TAIL>(view, ndf, light, x);
+    // The logarithm of the integrand to second order there, without n·ω.
+    let at = ChartPoint::new(x);
+    let cosines = Cosines::new(view, &at);
+    let Cosines { view_half, view_gradient, over_half, .. } = cosines;
+    let (axis_half, axis_gradient) = at.axis_half(light.axis);
+    let double = light.sharpness.times(2.0);
+    let gradient =
+        combine(double * view_half, axis_gradient, double.mul_add(axis_half, over_half), view_gradient);
+    let (pulls, hollow) = pull_of_ndf::<F, TAIL>(ndf, at.radius2, at.up);
+    let gradient = [(-pulls).mul_add(x[0], gradient[0]), (-pulls).mul_add(x[1], gradient[1])];
+    let hessian = hessian::<F, TAIL>(light.sharpness, &at, &cosines, pulls, hollow);
     let zero = x[0].zero();
-    let mut g = at.cosine_gradient;
+    let mut g = combine(at.up.times(2.0), view_gradient, -(view_half.times(2.0)), x);
     // At the pole of n·ω any direction is valid; the step keeps the sign of g, which it would otherwise cancel.
     let apart = g[0].select_lt(zero, zero.lit(-1e-4), zero.lit(1e-4));
     g[0] += dot2(g, g).select_lt(zero.lit(1e-8), apart, zero);
-    let inverse = at.hessian.inverse_determinant();
-    let steepest = at.hessian.adjugate_times(g);
-    let step = at.hessian.adjugate_times(at.gradient);
+    let inverse = hessian.inverse_determinant();
+    let steepest = hessian.adjugate_times(g);
+    let step = hessian.adjugate_times(gradient);
     let inverse_root = inverse * inverse.quick_rsqrt();
     // Scale s of n·ω per unit standard deviation: s² = gᵀH⁻¹g.
     let inverse_scale = (dot2(g, steepest) * inverse).max(zero.lit(1e-20)).quick_rsqrt();
-    let t = (dot2(g, step).mul_add(inverse, at.cosine)) * inverse_scale;
+    let t = (dot2(g, step).mul_add(inverse, cosines.cosine)) * inverse_scale;
     let clipped = Clipped::new(t);
     let unit = inverse * inverse_scale;
     let center = [inverse.mul_add(step[0], x[0]), inverse.mul_add(step[1], x[1])];

@@ -1,6 +1,6 @@
 //! The terms of a surface point and its specular lobe that the integral of every light lobe reads, and the last part of the adjoint of a point.
 
-use crate::brdf::{Facets, ndf_sharpness, shadowing_k};
+use crate::brdf::{Facets, Ndf, ndf_sharpness, shadowing_k};
 use crate::real::{Real, Vec3Of, add, dot, scale, sub};
 use std::f64::consts::PI;
 
@@ -37,22 +37,6 @@ pub struct PointDerivatives<F, const NDF: usize = 1> {
 }
 
 impl<F: Real, const NDF: usize> PointTerms<F, NDF> {
-    /// Converts the terms to another number type, such as one value in every lane.
-    #[inline(always)]
-    pub fn map<G: Real>(&self, wide: impl Fn(F) -> G) -> PointTerms<G, NDF> {
-        let three = |v: Vec3Of<F>| [wide(v[0]), wide(v[1]), wide(v[2])];
-        PointTerms {
-            frame: [three(self.frame[0]), three(self.frame[1]), three(self.frame[2])],
-            view: [wide(self.view[0]), wide(self.view[1])],
-            shadowing: wide(self.shadowing),
-            ndf: self.ndf.map(|n| NdfTerms {
-                sharpness: wide(n.sharpness),
-                start: wide(n.start),
-                scale: wide(n.scale),
-            }),
-        }
-    }
-
     /// A world-space vector along tangent, bitangent and normal.
     #[inline(always)]
     pub(super) fn in_frame(&self, v: Vec3Of<F>) -> Vec3Of<F> {
@@ -98,38 +82,52 @@ fn frame_towards<F: Real>(normal: Vec3Of<F>, to_viewer: Vec3Of<F>) -> [Vec3Of<F>
     [tangent, bitangent, normal]
 }
 
-/// The terms that depend on the point and the specular material but not on the light, for the NDF of PhySG supp. eq. 4 (one SG).
-///
-/// `roughness` is the paper's R in [0.03, 1]; for n·v ≤ 0 the specular light is 0.
+/// An NDF of one SG in h, or of several followed by the distribution that they approximate.
+pub trait Mixture<const NDF: usize>: Copy + Send + Sync {
+    /// The distribution that its shadowing term belongs to.
+    const KIND: Ndf;
+
+    /// [L, w] of every SG, D = Σ w·(L/2π)·e^{L(h·n − 1)}, and their [dL/dR, d(ln w)/dR].
+    fn of<F: Real>(roughness: F) -> ([[F; 2]; NDF], [[F; 2]; NDF]);
+}
+
+/// The NDF of PhySG supp. eq. 4.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct OneSg;
+
+impl Mixture<1> for OneSg {
+    const KIND: Ndf = Ndf::Sg;
+
+    #[inline(always)]
+    fn of<F: Real>(roughness: F) -> ([[F; 2]; 1], [[F; 2]; 1]) {
+        let sharpness = ndf_sharpness(roughness);
+        let slope = -(sharpness / roughness).times(4.0);
+        let zero = roughness.zero();
+        ([[sharpness, zero.one()]], [[slope, zero]])
+    }
+}
+
+/// [`prepare_with_ndf`] for the NDF of PhySG supp. eq. 4 (one SG).
 #[inline(always)]
 pub fn prepare_point<F: Real>(
     normal: Vec3Of<F>,
     to_viewer: Vec3Of<F>,
     roughness: F,
 ) -> (PointTerms<F>, PointDerivatives<F>) {
-    let (ndf, derivatives) = one_sg(roughness);
-    prepare_with_ndf(normal, to_viewer, shadowing_k(Facets::sg(roughness)), ndf, derivatives)
+    prepare_with_ndf::<F, OneSg, 1>(normal, to_viewer, roughness)
 }
 
-/// The NDF of PhySG supp. eq. 4 as [L, w], and its derivatives: arguments of [`prepare_with_ndf`].
+/// The terms that depend on the point and the specular material but not on the light.
+///
+/// `roughness` is the paper's R in [0.03, 1]; for n·v ≤ 0 the specular light is 0.
 #[inline(always)]
-pub(super) fn one_sg<F: Real>(roughness: F) -> ([[F; 2]; 1], [[F; 2]; 1]) {
-    let sharpness = ndf_sharpness(roughness);
-    let slope = -(sharpness / roughness).times(4.0);
-    let zero = roughness.zero();
-    ([[sharpness, zero.one()]], [[slope, zero]])
-}
-
-/// As [`prepare_point`] for an NDF Σ w·(L/2π)·e^{L(h·n − 1)}: `ndf` holds the pairs [L, w], `derivatives` [dL/dR, d(ln w)/dR],
-/// and the third argument is what [`shadowing_k`] returns.
-#[inline(always)]
-pub fn prepare_with_ndf<F: Real, const NDF: usize>(
+pub fn prepare_with_ndf<F: Real, D: Mixture<NDF>, const NDF: usize>(
     normal: Vec3Of<F>,
     to_viewer: Vec3Of<F>,
-    [k, k_by_roughness]: [F; 2],
-    ndf: [[F; 2]; NDF],
-    derivatives: [[F; 2]; NDF],
+    roughness: F,
 ) -> (PointTerms<F, NDF>, PointDerivatives<F, NDF>) {
+    let (ndf, derivatives) = D::of(roughness);
+    let [k, k_by_roughness] = shadowing_k(Facets { ndf: D::KIND, roughness });
     let frame = frame_towards(normal, to_viewer);
     let up = dot(normal, to_viewer);
     let view = [dot(frame[0], to_viewer).relu(), up.relu()];
@@ -179,16 +177,6 @@ impl<F: Real, const NDF: usize> PointSums<F, NDF> {
         for m in 0..NDF {
             self.ndf[m][0] += other.ndf[m][0];
             self.ndf[m][1] += other.ndf[m][1];
-        }
-    }
-
-    /// Converts the sums to another number type, such as a sum over lanes.
-    #[inline(always)]
-    pub fn map<G: Real>(&self, narrow: impl Fn(F) -> G) -> PointSums<G, NDF> {
-        PointSums {
-            normal: [narrow(self.normal[0]), narrow(self.normal[1])],
-            shadowing: narrow(self.shadowing),
-            ndf: self.ndf.map(|n| [narrow(n[0]), narrow(n[1])]),
         }
     }
 }

@@ -7,7 +7,7 @@
 //! Stieltjes procedure, of the form Gauss–Hermite + s²P(τ) with s = (1 − τ)/2. The weights belong to the fitted
 //! nodes (they reproduce the first K moments), so that the fitting error of the nodes has no effect to first order.
 
-use crate::real::Real;
+use crate::real::{Real, polynomial};
 use crate::two::Two;
 
 /// Gauss–Hermite node or weight, and the coefficients of P from the constant up.
@@ -95,27 +95,17 @@ pub struct AlongNode<F> {
 }
 
 impl<F: Copy> Clipped<Two<F>> {
-    /// The first and the second.
+    /// One of the two, which `one` takes.
     #[inline(always)]
-    pub fn split(self) -> [Clipped<F>; 2] {
-        let Self { shift, width, share, mass, tau, gap_squared: gap } = self;
-        let one = Clipped {
-            shift: shift.0,
-            width: width.0,
-            share: share.0,
-            mass: mass.0,
-            tau: tau.0,
-            gap_squared: gap.0,
-        };
-        let two = Clipped {
-            shift: shift.1,
-            width: width.1,
-            share: share.1,
-            mass: mass.1,
-            tau: tau.1,
-            gap_squared: gap.1,
-        };
-        [one, two]
+    pub fn each(&self, one: impl Fn(Two<F>) -> F) -> Clipped<F> {
+        Clipped {
+            shift: one(self.shift),
+            width: one(self.width),
+            share: one(self.share),
+            mass: one(self.mass),
+            tau: one(self.tau),
+            gap_squared: one(self.gap_squared),
+        }
     }
 }
 
@@ -146,13 +136,7 @@ impl<F: Real> Clipped<F> {
 
     #[inline(always)]
     fn fit<const N: usize>(&self, fit: &Fit<N>) -> F {
-        let mut p = self.tau.lit(fit.1[N - 1]);
-        let mut i = N - 1;
-        while i > 0 {
-            i -= 1;
-            p = p.mul_add(self.tau, p.lit(fit.1[i]));
-        }
-        p.mul_add(self.gap_squared, p.lit(fit.0))
+        polynomial(self.tau, &fit.1).mul_plus(self.gap_squared, fit.0)
     }
 
     /// Node `index` of the rule with `count` nodes.

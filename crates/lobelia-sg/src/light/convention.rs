@@ -3,12 +3,10 @@
 //! All of them have up at the top and show the surroundings as seen from inside (not mirrored), so each is a rotation of
 //! the convention of this crate. `docs/src/conventions.md` has a picture and the sources.
 
-use std::f32::consts::FRAC_PI_2;
-
+use crate::light::EnvironmentMap;
 use glam::{Mat3, Quat, Vec3};
 use serde::{Deserialize, Serialize};
-
-use crate::light::envmap::EnvironmentMap;
+use std::f32::consts::FRAC_PI_2;
 
 /// The program whose convention a map follows.
 ///
@@ -47,29 +45,26 @@ impl MapConvention {
     /// The map in the convention of this crate. If that only shifts whole columns, texels keep their values; otherwise it is
     /// resampled bilinearly.
     pub fn to_lobelia(self, map: EnvironmentMap) -> EnvironmentMap {
-        let quarter = map.width as usize / 4;
-        match self {
-            Self::Lobelia | Self::Mitsuba => map,
-            Self::ThreeJs | Self::BlenderYUp if map.width.is_multiple_of(4) => shifted(map, quarter),
-            _ => map.rotated(self.turn()),
-        }
+        self.turned(map, 1, self.turn())
     }
 
     /// A map in the convention of this crate, converted to this one: inverse of [`Self::to_lobelia`].
     pub fn from_lobelia(self, map: EnvironmentMap) -> EnvironmentMap {
-        let three_quarters = map.width as usize / 4 * 3;
-        match self {
-            Self::Lobelia | Self::Mitsuba => map,
-            Self::ThreeJs | Self::BlenderYUp if map.width.is_multiple_of(4) => shifted(map, three_quarters),
-            _ => map.rotated(self.turn().inverse()),
-        }
+        self.turned(map, 3, self.turn().inverse())
     }
-}
 
-/// The map with every row shifted so that column `by` comes first.
-fn shifted(mut map: EnvironmentMap, by: usize) -> EnvironmentMap {
-    map.radiance.chunks_exact_mut(map.width as usize).for_each(|row| row.rotate_left(by));
-    map
+    /// The map with every row shifted by so many quarters, or else rotated.
+    fn turned(self, mut map: EnvironmentMap, quarters: usize, rotation: Quat) -> EnvironmentMap {
+        let width = map.width as usize;
+        match self {
+            Self::Lobelia | Self::Mitsuba => {}
+            Self::ThreeJs | Self::BlenderYUp if width.is_multiple_of(4) => {
+                map.radiance.chunks_exact_mut(width).for_each(|row| row.rotate_left(width / 4 * quarters));
+            }
+            _ => map = map.rotated(rotation),
+        }
+        map
+    }
 }
 
 #[cfg(test)]
@@ -77,22 +72,18 @@ mod tests {
     use super::*;
     use std::f32::consts::{PI, TAU};
 
-    const ALL: [MapConvention; 5] = [
-        MapConvention::Lobelia,
-        MapConvention::Mitsuba,
-        MapConvention::ThreeJs,
-        MapConvention::Blender,
-        MapConvention::BlenderYUp,
-    ];
+    use MapConvention::{Blender, BlenderYUp, Lobelia, Mitsuba, ThreeJs};
+
+    const ALL: [MapConvention; 5] = [Lobelia, Mitsuba, ThreeJs, Blender, BlenderYUp];
 
     /// Position of a direction in the map, v down, as each program computes it.
     fn place(convention: MapConvention, d: Vec3) -> (f32, f32) {
         let (u, height) = match convention {
-            MapConvention::Lobelia => (d.z.atan2(d.x) / TAU + 0.25, d.y),
-            MapConvention::Mitsuba => (d.x.atan2(-d.z) / TAU, d.y),
-            MapConvention::ThreeJs => (d.z.atan2(d.x) / TAU + 0.5, d.y),
-            MapConvention::Blender => (0.5 - d.y.atan2(d.x) / TAU, d.z),
-            MapConvention::BlenderYUp => return place(MapConvention::Blender, Vec3::new(d.x, -d.z, d.y)),
+            Lobelia => (d.z.atan2(d.x) / TAU + 0.25, d.y),
+            Mitsuba => (d.x.atan2(-d.z) / TAU, d.y),
+            ThreeJs => (d.z.atan2(d.x) / TAU + 0.5, d.y),
+            Blender => (0.5 - d.y.atan2(d.x) / TAU, d.z),
+            BlenderYUp => return place(Blender, Vec3::new(d.x, -d.z, d.y)),
         };
         (u.rem_euclid(1.0), 0.5 - height.asin() / PI)
     }

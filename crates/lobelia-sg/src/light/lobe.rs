@@ -4,8 +4,7 @@ use glam::{DVec3, Quat, Vec3};
 use serde::{Deserialize, Serialize};
 
 use crate::fibonacci::{fibonacci_axes, spacing_sharpness};
-use crate::published::Lobe;
-use crate::sg;
+use crate::{published::Lobe, sg};
 
 /// Most lobes of a light.
 pub const MOST_LOBES: usize = 2048;
@@ -37,15 +36,7 @@ impl LightLobe {
         let lobe = |axis| Self { axis, sharpness, amplitude: Vec3::ONE };
         fibonacci_axes(count).into_iter().map(lobe).collect()
     }
-}
 
-impl From<&LightLobe> for Lobe<f32> {
-    fn from(lobe: &LightLobe) -> Self {
-        Self { axis: lobe.axis.into(), sharpness: lobe.sharpness, amplitude: lobe.amplitude.into() }
-    }
-}
-
-impl LightLobe {
     /// Radiance from the unit direction `omega`, linear RGB.
     pub fn radiance(&self, omega: Vec3) -> Vec3 {
         self.amplitude * sg::evaluate(omega.to_array(), self.axis.to_array(), self.sharpness)
@@ -54,6 +45,12 @@ impl LightLobe {
     /// Integral of the radiance over the whole sphere, linear RGB × steradians: μ 2π(1 − e^(−2λ))/λ.
     pub fn power(&self) -> DVec3 {
         self.amplitude.as_dvec3() * sg::sphere_integral(f64::from(self.sharpness))
+    }
+}
+
+impl From<&LightLobe> for Lobe<f32> {
+    fn from(lobe: &LightLobe) -> Self {
+        Self { axis: lobe.axis.into(), sharpness: lobe.sharpness, amplitude: lobe.amplitude.into() }
     }
 }
 
@@ -66,15 +63,12 @@ pub fn lobes_radiance(lobes: &[LightLobe], omega: Vec3) -> Vec3 {
 pub fn lobes_in_use<'a>(lobes: impl IntoIterator<Item = &'a LightLobe>) -> usize {
     let mut powers: Vec<f64> = lobes.into_iter().map(|lobe| lobe.power().element_sum()).collect();
     powers.sort_by(|a, b| b.total_cmp(a));
-    let mut left = 0.99 * powers.iter().sum::<f64>();
-    powers
-        .iter()
-        .take_while(|power| {
-            let is_needed = left > 0.0;
-            left -= **power;
-            is_needed
-        })
-        .count()
+    let needed = powers.iter().scan(0.99 * powers.iter().sum::<f64>(), |left, power| {
+        let is_needed = *left > 0.0;
+        *left -= power;
+        is_needed.then_some(())
+    });
+    needed.count()
 }
 
 /// Integral of the lobes' radiance over the whole sphere, linear RGB × steradians.
@@ -123,9 +117,8 @@ pub fn validate_lobes(lobes: &[LightLobe]) -> Result<(), String> {
             return Err(format!("lobe {i}: axis {} has length {length}, not 1", lobe.axis));
         }
         if !(0.0..=MAX_SHARPNESS).contains(&lobe.sharpness) {
-            let problem =
-                format!("lobe {i}: sharpness {:e} must be from 0 to {MAX_SHARPNESS:e}", lobe.sharpness);
-            return Err(problem);
+            let sharpness = lobe.sharpness;
+            return Err(format!("lobe {i}: sharpness {sharpness:e} must be from 0 to {MAX_SHARPNESS:e}"));
         }
         if let Some(bad) = lobe.amplitude.to_array().into_iter().find(|a| !(0.0..=MAX_RADIANCE).contains(a)) {
             return Err(format!("lobe {i}: amplitude {bad:e} must be from 0 to {MAX_RADIANCE:e}"));

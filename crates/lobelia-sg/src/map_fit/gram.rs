@@ -35,15 +35,8 @@ impl Gram {
     }
 }
 
-/// Mean over the sphere of the product of two unit-amplitude SGs: an SG of sharpness L = |λ₁ξ₁ + λ₂ξ₂| and amplitude
-/// e^(L − λ₁ − λ₂).
-pub fn mean_product(a: DVec3, sharpness_a: f64, b: DVec3, sharpness_b: f64) -> f64 {
-    let (product, _) = product_of(a, sharpness_a, b, sharpness_b);
-    product
-}
-
-/// The mean of the product, and v.
-fn product_of(a: DVec3, sharpness_a: f64, b: DVec3, sharpness_b: f64) -> (f64, DVec3) {
+/// Mean over the sphere of the product of two unit-amplitude SGs, an SG of sharpness L = |v| and amplitude e^(L − λ₁ − λ₂); and v.
+pub fn mean_product(a: DVec3, sharpness_a: f64, b: DVec3, sharpness_b: f64) -> (f64, DVec3) {
     let v = a * sharpness_a + b * sharpness_b;
     let (length, sum) = (v.length(), sharpness_a + sharpness_b);
     // L − λ₁ − λ₂, without the cancellation: (λ₁ + λ₂)² − L² = λ₁λ₂|ξ₁ − ξ₂|².
@@ -67,8 +60,7 @@ fn mean_over_length(length: f64) -> f64 {
 }
 
 fn inner_products(a: &FitLobe, b: &FitLobe) -> Block {
-    let [axis_a, axis_b] = [a, b].map(|lobe| DVec3::from_array(lobe.axis));
-    let (product, v) = product_of(axis_a, a.sharpness, axis_b, b.sharpness);
+    let (product, v) = mean_product(a.axis, a.sharpness, b.axis, b.sharpness);
     if product == 0.0 {
         return [[0.0; 4]; 4];
     }
@@ -87,13 +79,8 @@ fn inner_products(a: &FitLobe, b: &FitLobe) -> Block {
 
 /// Each basis function of a lobe divided by its G, as constant and slope in ω: G, λ(ω·t)G, λ(ω·ξ − 1)G.
 fn linear(lobe: &FitLobe) -> [(f64, DVec3); 4] {
-    let slope = |v: [f64; 3]| DVec3::from_array(v) * lobe.sharpness;
-    [
-        (1.0, DVec3::ZERO),
-        (0.0, slope(lobe.tangents[0])),
-        (0.0, slope(lobe.tangents[1])),
-        (-lobe.sharpness, slope(lobe.axis)),
-    ]
+    let FitLobe { axis, tangents: [one, other], sharpness, .. } = *lobe;
+    [(1.0, DVec3::ZERO), (0.0, one * sharpness), (0.0, other * sharpness), (-sharpness, axis * sharpness)]
 }
 
 #[cfg(test)]
@@ -110,7 +97,7 @@ mod tests {
 
     fn basis(lobe: &FitLobe, a: usize, omega: DVec3) -> f64 {
         let (constant, slope) = linear(lobe)[a];
-        let value = (lobe.sharpness * (omega.dot(DVec3::from_array(lobe.axis)) - 1.0)).exp();
+        let value = (lobe.sharpness * (omega.dot(lobe.axis) - 1.0)).exp();
         value * (constant + slope.dot(omega))
     }
 
@@ -133,8 +120,7 @@ mod tests {
                 }
             }
         }
-        let far = mean_product(DVec3::Y, 500.0, DVec3::NEG_Y, 500.0);
-        assert_eq!(far, 0.0);
+        assert_eq!(mean_product(DVec3::Y, 500.0, DVec3::NEG_Y, 500.0).0, 0.0);
     }
 
     #[test]

@@ -161,8 +161,7 @@ pub fn fit_map_with(
 ) -> Result<MapFitReport, MapFitError> {
     check(map, lobes, options)?;
     let target = target_of(map, options);
-    let most_suns = if lobes < LOBES_FOR_A_SUN { 0 } else { lobes / LOBES_FOR_A_SUN };
-    let (suns, rest) = take_suns(&target, most_suns, sharpest_at(target.width, options));
+    let (suns, rest) = take_suns(&target, lobes / LOBES_FOR_A_SUN, sharpest_at(target.width, options));
     // In units of the root mean square of the map, so that f32 sums and tolerances work for any exposure.
     let scale = mean_square(&rest).sqrt();
     let mut fitted: Vec<LightLobe> = suns.iter().map(|sun| sun.lobe).collect();
@@ -365,7 +364,7 @@ fn plain(lobe: &FitLobe, scale: f64, white: bool) -> LightLobe {
     let amplitude = DVec3::from_array(lobe.amplitude) * scale;
     let gray = DVec3::splat(amplitude.element_sum() / 3.0);
     LightLobe {
-        axis: DVec3::from_array(lobe.axis).as_vec3(),
+        axis: lobe.axis.as_vec3(),
         sharpness: lobe.sharpness as f32,
         amplitude: if white { gray } else { amplitude }.as_vec3(),
     }
@@ -413,18 +412,12 @@ mod tests {
 
     #[test]
     fn lobes_are_recovered_from_their_own_map() {
+        let lobe =
+            |axis, sharpness, amplitude: [f32; 3]| LightLobe { axis, sharpness, amplitude: amplitude.into() };
         let truth = [
-            LightLobe {
-                axis: Vec3::new(0.6, 0.0, 0.8),
-                sharpness: 30.0,
-                amplitude: Vec3::new(5.0, 1.0, 2.0),
-            },
-            LightLobe {
-                axis: Vec3::new(-0.8, 0.6, 0.0),
-                sharpness: 7.0,
-                amplitude: Vec3::new(0.5, 1.5, 3.0),
-            },
-            LightLobe { axis: Vec3::NEG_Y, sharpness: 2.0, amplitude: Vec3::new(1.0, 1.0, 0.2) },
+            lobe(Vec3::new(0.6, 0.0, 0.8), 30.0, [5.0, 1.0, 2.0]),
+            lobe(Vec3::new(-0.8, 0.6, 0.0), 7.0, [0.5, 1.5, 3.0]),
+            lobe(Vec3::NEG_Y, 2.0, [1.0, 1.0, 0.2]),
         ];
         let map = render_lobes(&truth, 64, 32);
         let fit = fit_map(&map, 6, &MapFit { iterations: 60, ..quick() }).unwrap();
@@ -513,10 +506,8 @@ mod tests {
     #[test]
     fn nonsense_is_refused() {
         assert!(matches!(fit_map(&sky(), 0, &quick()), Err(MapFitError::Settings { .. })));
-        assert_eq!(
-            fit_map_with(&sky(), 4, &quick(), &mut |_| {}, &|| true).unwrap_err(),
-            MapFitError::Stopped
-        );
+        let stopped = fit_map_with(&sky(), 4, &quick(), &mut |_| {}, &|| true);
+        assert_eq!(stopped.unwrap_err(), MapFitError::Stopped);
         assert!(fit_map(&sky(), 4, &MapFit { working_width: 0, ..quick() }).is_err());
         let mut map = sky();
         map.radiance[70].y = f32::NAN;

@@ -4,12 +4,11 @@ use fearless_simd::{Level as SimdLevel, Simd, dispatch};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::fibonacci::fibonacci_axes;
-use crate::light::envmap::EnvironmentMap;
-use crate::map_fit::gram::mean_product;
 use crate::map_fit::kernel::{FitLobe, LobeCap, Tile, TileRow, TileValues, residuals, rows_of, tiles_of};
-use crate::map_fit::solve::LobeBounds;
-use crate::sg::sphere_integral;
+use crate::{
+    fibonacci::fibonacci_axes, light::envmap::EnvironmentMap, map_fit::gram::mean_product,
+    map_fit::solve::LobeBounds, sg::sphere_integral,
+};
 
 /// Sharpnesses tried, each about 2.5 times the one before.
 const SHARPNESSES: [f64; 10] = [1.5, 4.0, 10.0, 25.0, 60.0, 150.0, 400.0, 1000.0, 2500.0, 6000.0];
@@ -63,13 +62,9 @@ pub fn place(levels: &[Level], lobes: &[FitLobe], count: usize, bounds: LobeBoun
     let mut chosen = Vec::new();
     while chosen.len() < count {
         // The first of equal ones, so that the result is unique.
-        let better = |best: Candidate, c: &Candidate| if c.gain() > best.gain() { *c } else { best };
-        let Some(best) = candidates.first().map(|first| candidates.iter().fold(*first, better)) else {
-            break;
-        };
-        if best.gain() <= 0.0 {
-            break;
-        }
+        let better = |best: Candidate, c: Candidate| if c.gain() > best.gain() { c } else { best };
+        let best = candidates.iter().copied().reduce(better).filter(|best| best.gain() > 0.0);
+        let Some(best) = best else { break };
         candidates.par_iter_mut().with_min_len(1024).for_each(|c| c.lose(&best));
         chosen.push(FitLobe::new(best.axis, best.sharpness, best.amplitude()));
     }
@@ -100,18 +95,16 @@ fn candidates(levels: &[Level], lobes: &[FitLobe], bounds: LobeBounds) -> Vec<Ca
 
 #[inline(always)]
 fn candidate<S: Simd>(simd: S, level: &Level, residual: &[TileValues], lobe: &FitLobe) -> Candidate {
-    let (axis, mut inner) = (DVec3::from_array(lobe.axis), [0.0; 3]);
-    let reach = LobeCap::new(axis, lobe.sharpness * REACH);
+    let mut inner = [0.0; 3];
+    let reach = LobeCap::new(lobe.axis, lobe.sharpness * REACH);
     for at in level.rows.iter().flat_map(|row| reach.tiles_in(row)) {
         if reach.meets(&level.tiles[at]) {
             let more = level.tiles[at].products(simd, lobe, &residual[at]);
-            for c in 0..3 {
-                inner[c] += more[c];
-            }
+            inner.iter_mut().zip(more).for_each(|(sum, product)| *sum += product);
         }
     }
     let norm = sphere_integral(2.0 * lobe.sharpness) / (4.0 * std::f64::consts::PI);
-    Candidate { axis, sharpness: lobe.sharpness, inner, norm }
+    Candidate { axis: lobe.axis, sharpness: lobe.sharpness, inner, norm }
 }
 
 impl Candidate {
@@ -127,7 +120,7 @@ impl Candidate {
 
     /// Subtracts the contribution of `other`, once chosen, from the inner products.
     fn lose(&mut self, other: &Self) {
-        let overlap = mean_product(self.axis, self.sharpness, other.axis, other.sharpness);
+        let (overlap, _) = mean_product(self.axis, self.sharpness, other.axis, other.sharpness);
         for (inner, amplitude) in self.inner.iter_mut().zip(other.amplitude()) {
             *inner -= amplitude * overlap;
         }
@@ -152,7 +145,7 @@ mod tests {
         let found = place(&[Level::new(&map)], &[], 2, bounds);
         assert_eq!(found.len(), 2);
         for (lobe, light) in found.iter().zip([lights[1], lights[0]]) {
-            let axis = DVec3::from_array(lobe.axis).as_vec3();
+            let axis = lobe.axis.as_vec3();
             assert!(axis.angle_between(light.axis) < 0.12, "{axis}");
             assert_eq!(lobe.sharpness as f32, light.sharpness);
             assert!((lobe.amplitude[1] as f32 / light.amplitude.y - 1.0).abs() < 0.1);

@@ -1,9 +1,8 @@
 //! Steps of the map fit: Levenberg–Marquardt on all parameters, and amplitudes alone.
 
 use crate::linear::{cholesky, descend_nonnegative, solve_factored};
-use crate::map_fit::gram::Gram;
 use crate::map_fit::kernel::{Derivatives, FitLobe, Tile, derivatives};
-use crate::sg::sphere_integral;
+use crate::{map_fit::gram::Gram, sg::sphere_integral};
 use rayon::prelude::*;
 
 /// Bounds of the parameters of a lobe.
@@ -128,8 +127,8 @@ fn stepped(lobe: &FitLobe, step: &[f64; PARAMETERS], bounds: LobeBounds) -> FitL
     let shorter = if turn > farthest { farthest / turn } else { 1.0 };
     let mut moved = lobe.moved([step[0] * shorter, step[1] * shorter, step[2].clamp(-1.0, 1.0)]);
     moved.sharpness = moved.sharpness.clamp(bounds.dullest, bounds.sharpest);
-    if bounds.upper_only && moved.axis[1] < 0.0 {
-        let level = glam::DVec3::new(moved.axis[0], 0.0, moved.axis[2]);
+    if bounds.upper_only && moved.axis.y < 0.0 {
+        let level = moved.axis.with_y(0.0);
         moved = FitLobe::new(level.normalize_or(glam::DVec3::Y), moved.sharpness, moved.amplitude);
     }
     moved.amplitude = [0, 1, 2].map(|c| (lobe.amplitude[c] + step[3 + c]).max(0.0));
@@ -237,8 +236,7 @@ fn power_steps(matrix: &[f64], n: usize, own: &[f64], shining: &[usize], missing
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::envmap::EnvironmentMap;
-    use crate::map_fit::kernel::tiles_of;
+    use crate::{light::envmap::EnvironmentMap, map_fit::kernel::tiles_of};
     use glam::{DVec3, Vec3};
 
     fn lobes() -> Vec<FitLobe> {
@@ -257,7 +255,7 @@ mod tests {
         let mut left = lobes();
         prune(&mut left, 2);
         assert_eq!(left.len(), 2);
-        assert!(left[1].axis[0] > 0.99 && (left[1].amplitude[0] - 8.0).abs() < 0.1, "{left:?}");
+        assert!(left[1].axis.x > 0.99 && (left[1].amplitude[0] - 8.0).abs() < 0.1, "{left:?}");
     }
 
     #[test]
@@ -283,10 +281,10 @@ mod tests {
         let start = vec![FitLobe::new(DVec3::X, 4.0, [0.5; 3])];
         let mut free = start.clone();
         assert!(levenberg_marquardt(&tiles, &mut free, 30, bounds, &|| false) < 1e-6);
-        assert!(free[0].axis[1] < -0.5);
+        assert!(free[0].axis.y < -0.5);
         bounds.upper_only = true;
         let mut level = start.clone();
         let reached = levenberg_marquardt(&tiles, &mut level, 30, bounds, &|| false);
-        assert!(reached < derivatives(&tiles, &start).error && level[0].axis[1] >= 0.0);
+        assert!(reached < derivatives(&tiles, &start).error && level[0].axis.y >= 0.0);
     }
 }

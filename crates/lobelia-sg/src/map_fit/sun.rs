@@ -5,10 +5,7 @@
 
 use glam::{DVec3, Vec3};
 
-use crate::color::luminance;
-use crate::light::envmap::EnvironmentMap;
-use crate::light::lobe::LightLobe;
-use crate::sg::sphere_integral;
+use crate::{color::luminance, light::envmap::EnvironmentMap, light::lobe::LightLobe, sg::sphere_integral};
 
 /// A sun is this many times brighter than the mean of the rest of the map.
 const BRIGHTER_THAN_REST: f64 = 1000.0;

@@ -1,6 +1,6 @@
 //! E(λ, c), the published approximation of the integral of an SG times the clamped cosine, and the hemisphere integral H.
 
-use crate::real::Real;
+use crate::real::{Real, polynomial};
 use crate::sg::Dual;
 use std::f64::consts::PI;
 
@@ -37,16 +37,6 @@ fn hemisphere_share<F: Real>(t: F, c: F) -> (F, F, F) {
     (signed.mul_add(ratio, half), signed * by_t, half * by_c)
 }
 
-/// Polynomial; the coefficient of the highest power comes first.
-#[inline(always)]
-fn polynomial<F: Real>(x: F, coefficients: [f64; 6]) -> F {
-    let mut p = x.lit(coefficients[0]);
-    for c in &coefficients[1..] {
-        p = p.mul_add(x, x.lit(*c));
-    }
-    p
-}
-
 /// H: integral over the hemisphere around n of a unit-amplitude SG whose axis makes the cosine `c` with n
 /// (Meder and Brüderlin 2018).
 #[inline(always)]
@@ -68,8 +58,8 @@ pub fn hemisphere_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
     let small = l.lit(0.1);
     let g = (one - w) * inverse_l;
     let g_prime = (w - g) * inverse_l;
-    let g_series = polynomial(l, [-1.0 / 720.0, 1.0 / 120.0, -1.0 / 24.0, 1.0 / 6.0, -0.5, 1.0]);
-    let g_prime_series = polynomial(l, [1.0 / 840.0, -1.0 / 144.0, 1.0 / 30.0, -0.125, 1.0 / 3.0, -0.5]);
+    let g_series = polynomial(l, &[1.0, -0.5, 1.0 / 6.0, -1.0 / 24.0, 1.0 / 120.0, -1.0 / 720.0]);
+    let g_prime_series = polynomial(l, &[-0.5, 1.0 / 3.0, -0.125, 1.0 / 30.0, -1.0 / 144.0, 1.0 / 840.0]);
     let g = l.select_lt(small, g_series, g);
     let g_prime = l.select_lt(small, g_prime_series, g_prime);
     let share = (one - s).mul_add(w, s);

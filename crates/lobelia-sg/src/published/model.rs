@@ -2,11 +2,10 @@
 
 use super::pair::{Pair, evaluate_prepared, pull_back_pair};
 use super::point::{FrozenBrdf, PointTerms, prepare_point, pull_back_normal};
-use super::sharp::{SHARPNESS_COLUMNS, SharpnessTerms};
+use super::sharp::{SharpnessTerms, sharpness_terms};
 use crate::brdf::{SpecularAdjoint, SpecularValue};
-use crate::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response};
+use crate::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Response};
 use crate::real::{Real, Vec3Of, dot};
-use crate::sg::Dual;
 use crate::sg::Shape;
 
 /// The published SG shading formulas (PhySG's `render_with_sg`), always with one SG for the NDF, whatever the NDF of the material.
@@ -45,14 +44,11 @@ fn response<F: Real>(pair: &Pair<F>) -> Response<F, [F; 1]> {
     Response { diffuse: pair.diffuse.value, specular: [pair.specular] }
 }
 
-/// Why a method of [`PairModel`] is not called.
-const NO_NODES: &str = "published shading culls nothing and has no nodes";
-
 impl PairModel for Published {
     const CULLS: bool = false;
     type Point<F: Copy> = [F; 8];
     type Frozen<F: Copy> = [F; 8];
-    type Lobe<F: Copy> = [F; SHARPNESS_COLUMNS];
+    type Lobe<F: Copy> = SharpnessTerms<F>;
     type Placed<F: Copy> = ();
     type Specular<F: Copy> = [F; 1];
     type Sums<F: Copy> = [F; 8];
@@ -69,10 +65,10 @@ impl PairModel for Published {
     }
 
     #[inline(always)]
-    fn prepare_lobe<F: Real>(&self, sharpness: F) -> [F; SHARPNESS_COLUMNS] {
+    fn prepare_lobe<F: Real>(&self, sharpness: F) -> SharpnessTerms<F> {
         // Below the bound the terms are not used, but they must be finite.
         let sharpness = sharpness.max(sharpness.one());
-        SharpnessTerms::new(sharpness, sharpness.inverse()).to_columns()
+        sharpness_terms(sharpness, sharpness.inverse())
     }
 
     #[inline(always)]
@@ -82,66 +78,14 @@ impl PairModel for Published {
     }
 
     #[inline(always)]
-    fn reach<F: Real>(&self, point: &[F; 8]) -> Reach<F> {
-        let point = PointTerms::from_array(*point);
-        let sharpness = point.warp_sharpness;
-        Reach { axis: point.mirror, sharpness, brightest: sharpness.lit(1e30) }
-    }
-
-    fn irradiance<F: Real>(&self, _point: &[F; 8], _shape: &Shape<F>, _lobe: &Self::Lobe<F>) -> Dual<F> {
-        unreachable!("{NO_NODES}")
-    }
-
-    fn place_smooth<F: Real>(&self, _point: &[F; 8], _shape: &Shape<F>, _width: F, _irradiance: Dual<F>) {
-        unreachable!("{NO_NODES}")
-    }
-
-    fn place_two_smooth<F: Real>(
-        &self,
-        _point: &[F; 8],
-        _shapes: [&Shape<F>; 2],
-        _widths: [F; 2],
-        _irradiances: [Dual<F>; 2],
-    ) -> [(); 2] {
-        unreachable!("{NO_NODES}")
-    }
-
-    fn place<F: Real, const PART: Part>(&self, _point: &[F; 8], _shape: &Shape<F>) {
-        unreachable!("{NO_NODES}")
-    }
-
-    fn place_two<F: Real, const PART: Part>(&self, _point: &[F; 8], _shapes: [&Shape<F>; 2]) -> [(); 2] {
-        unreachable!("{NO_NODES}")
-    }
-
-    fn specular<F: Real, const PART: Part>(
-        &self,
-        _point: &[F; 8],
-        _shape: &Shape<F>,
-        _placed: &(),
-    ) -> [F; 1] {
-        unreachable!("{NO_NODES}")
-    }
-
-    fn pull_back_specular<F: Real, const PART: Part>(
-        &self,
-        _point: &[F; 8],
-        _shape: &Shape<F>,
-        _placed: &(),
-        _adjoint: &[F; 1],
-    ) -> ([F; 1], PairAdjoint<F, Self::Sums<F>>) {
-        unreachable!("{NO_NODES}")
-    }
-
-    #[inline(always)]
     fn evaluate<F: Real, const PART: Part>(
         &self,
         point: &[F; 8],
         shape: &Shape<F>,
-        lobe: &[F; SHARPNESS_COLUMNS],
+        lobe: &SharpnessTerms<F>,
     ) -> Response<F, [F; 1]> {
         let point = PointTerms::from_array(*point);
-        response(&evaluate_prepared(&point, shape, &SharpnessTerms::from_columns(lobe)))
+        response(&evaluate_prepared(&point, shape, lobe))
     }
 
     #[inline(always)]
@@ -149,11 +93,11 @@ impl PairModel for Published {
         &self,
         point: &[F; 8],
         shape: &Shape<F>,
-        lobe: &[F; SHARPNESS_COLUMNS],
+        lobe: &SharpnessTerms<F>,
         adjoint: &Response<F, [F; 1]>,
     ) -> PulledBack<F, Self> {
         let point = PointTerms::from_array(*point);
-        let pair = evaluate_prepared(&point, shape, &SharpnessTerms::from_columns(lobe));
+        let pair = evaluate_prepared(&point, shape, lobe);
         let (diffuse, [specular]) = (adjoint.diffuse, adjoint.specular);
         let back = pull_back_pair(&pair, &point, shape.axis, shape.sharpness, diffuse, specular);
         let shape = Shape { axis: back.axis, sharpness: back.sharpness };

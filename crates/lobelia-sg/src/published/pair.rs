@@ -3,7 +3,7 @@
 
 use super::integral::cosine_integral;
 use super::point::{PointTerms, SHRUNK, prepare_point};
-use super::sharp::{self, SHARP, SharpnessTerms};
+use super::sharp::{self, SHARP, SharpnessTerms, sharpness_terms};
 use crate::real::{Real, Vec3Of, dot, scale, sub};
 use crate::sg::Dual;
 use crate::sg::{Lobe, Shape};
@@ -58,7 +58,7 @@ pub fn evaluate_prepared<F: Real>(
 ) -> Pair<F> {
     let product = Product::new(point, lobe);
     let diffuse = either_integral(lobe.sharpness, product.xn, terms);
-    let own = SharpnessTerms::new(product.m, product.inverse_m);
+    let own = sharpness_terms(product.m, product.inverse_m);
     let integral = either_integral(product.m, product.c, &own);
     Pair::new(diffuse, integral, product)
 }

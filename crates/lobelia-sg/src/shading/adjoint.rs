@@ -1,8 +1,8 @@
 //! Adjoint of a chunk of points: like [`super::forward`], with the response of every pair computed again.
 
 use super::blocks::{Chunk, LobeVector, Prepared, Shared, reaching, splat};
-use super::cull::{Gathered, Picked, PickedByRule};
-use super::forward::{Light, Sums, mul_add3, splat3};
+use super::cull::{Gathered, Picked};
+use super::forward::{Light, mul_add3, splat3};
 use super::walk::{Visit, walk};
 use crate::brdf::SpecularAdjoint;
 use crate::columns::{
@@ -47,18 +47,6 @@ impl<M: PairModel> Weights<M> {
             specular_light: Terms::from_fn(|b| std::array::from_fn(|c| specular[c] * weights.at(b)[c])),
         }
     }
-
-    /// Adjoint of the diffuse albedo under this light.
-    #[inline(always)]
-    fn albedo_adjoint(&self, light: &Sums<M>, around: &PointVisibility) -> Vec3Of<f32> {
-        std::array::from_fn(|c| self.diffuse[c] / PI * (light.diffuse[c] + around.indirect[c]))
-    }
-
-    /// Per specular term and channel: adjoint of the specular layer times the light.
-    #[inline(always)]
-    fn weighted_specular(&self, light: &Sums<M>) -> M::Specular<Vec3Of<f32>> {
-        Terms::from_fn(|b| std::array::from_fn(|c| self.specular[c] * light.specular.at(b)[c]))
-    }
 }
 
 /// Adjoint of a chunk of points; adds the adjoints of shared parameters to `partial`: [`LOBE_COLUMNS`] rows for each
@@ -90,25 +78,36 @@ pub fn adjoint_chunk<S: Simd, M: PairModel>(
         let (row, around) = LobeVisibility::point(visibility, i, shared.stride());
         let weights = Weights::new(shared, point, &around, frozen, &shaded[i], &adjoint[i]);
         let wide = splat::<S, M>(simd, terms);
-        let gradient_of_lobes = GradientRows { rows: lobe_gradient, records: &mut records };
-        let (light, sums) =
-            pull_back_lobes(simd, shared, &wide, row, &weights, &mut picked, gradient_of_lobes);
-        out[i].albedo = weights.albedo_adjoint(&light, &around);
-        let specular_light = &weights.weighted_specular(&light);
+        let zero = Lanes::splat(simd, 0.0);
+        let mut back = PullBack {
+            simd,
+            model: shared.model,
+            terms: &wide,
+            row,
+            kd: splat3(simd, weights.diffuse_light),
+            ks: Terms::from_fn(|b| splat3(simd, weights.specular_light.at(b))),
+            light: Light::zero(simd),
+            sums: Terms::from_fn(|_| zero),
+            rows: lobe_gradient,
+            records: &mut records,
+        };
+        walk(simd, shared, &wide, &mut picked, &mut back);
+        let light = back.light.total();
+        let mut sums: M::Sums<f32> = Terms::from_fn(|_| 0.0);
+        for i in 0..M::Sums::<f32>::LEN {
+            *sums.at_mut(i) = back.sums.at(i).sum();
+        }
+        out[i].albedo =
+            std::array::from_fn(|c| weights.diffuse[c] / PI * (light.diffuse[c] + around.indirect[c]));
+        // Per specular term and channel: adjoint of the specular layer times the light.
+        let specular_light =
+            &Terms::from_fn(|b| std::array::from_fn(|c| weights.specular[c] * light.specular.at(b)[c]));
         let end = PointEnd { point, specular: shared.specular, terms, frozen, sums: &sums, specular_light };
         out[i].normal = shared.model.pull_back_point(&end, &mut gradient);
     }
     add_records(&records, lobe_gradient);
     let [r, g, b] = gradient.albedo;
     specular_row[0].0[..4].copy_from_slice(&[r, g, b, gradient.roughness]);
-}
-
-/// The gradient of the lobes so far.
-struct GradientRows<'a> {
-    /// [`LOBE_COLUMNS`] rows for each block of lobes.
-    rows: &'a mut [Row],
-    /// Gradients of selected lobes, to be added to `rows`; a record for each lobe.
-    records: &'a mut [Row],
 }
 
 /// Adds the gradients in records of lobes to their rows.
@@ -119,38 +118,6 @@ fn add_records(records: &[Row], rows: &mut [Row]) {
             rows.iter_mut().zip(record).for_each(|(row, value)| row.0[lane] += value);
         }
     }
-}
-
-/// Loops over the lobes for one point: adds their gradient to `gradient` and returns the sums of the point.
-#[inline(always)]
-fn pull_back_lobes<S: Simd, M: PairModel>(
-    simd: S,
-    shared: &Shared<'_, M>,
-    terms: &M::Point<Lanes<S>>,
-    row: Option<&[u8]>,
-    weights: &Weights<M>,
-    picked: &mut PickedByRule,
-    gradient: GradientRows<'_>,
-) -> (Sums<M>, M::Sums<f32>) {
-    let ks: M::Specular<Vec3Of<Lanes<S>>> = Terms::from_fn(|b| splat3(simd, weights.specular_light.at(b)));
-    let zero = Lanes::splat(simd, 0.0);
-    let mut back = PullBack {
-        simd,
-        model: shared.model,
-        terms,
-        row,
-        kd: splat3(simd, weights.diffuse_light),
-        ks,
-        light: Light::zero(simd),
-        sums: Terms::from_fn(|_| zero),
-        gradient,
-    };
-    walk(simd, shared, terms, picked, &mut back);
-    let mut total: M::Sums<f32> = Terms::from_fn(|_| 0.0);
-    for i in 0..M::Sums::<f32>::LEN {
-        *total.at_mut(i) = back.sums.at(i).sum();
-    }
-    (back.light.total(), total)
 }
 
 /// The state of the loop over lobes in the adjoint of one point.
@@ -165,7 +132,10 @@ struct PullBack<'a, S: Simd, M: PairModel> {
     ks: M::Specular<Vec3Of<Lanes<S>>>,
     light: Light<S, M>,
     sums: M::Sums<Lanes<S>>,
-    gradient: GradientRows<'a>,
+    /// The gradient of the lobes so far: [`LOBE_COLUMNS`] rows for each block of lobes.
+    rows: &'a mut [Row],
+    /// Gradients of selected lobes, to be added to `rows`; a record for each lobe.
+    records: &'a mut [Row],
 }
 
 impl<S: Simd, M: PairModel> PullBack<'_, S, M> {
@@ -213,7 +183,7 @@ impl<S: Simd, M: PairModel> Visit<S, M> for PullBack<'_, S, M> {
             self.model.pull_back::<_, PART>(self.terms, &lobe.shape, &lobe.terms, &adjoint);
         response.diffuse = response.diffuse * reaching;
         let columns = self.take::<PART>(lobe.amplitude, &response, &back);
-        let rows = &mut self.gradient.rows[b * LOBE_COLUMNS..(b + 1) * LOBE_COLUMNS];
+        let rows = &mut self.rows[b * LOBE_COLUMNS..(b + 1) * LOBE_COLUMNS];
         for (row, value) in rows.iter_mut().zip(columns) {
             value.add_to(&mut row.0[at..at + Lanes::<S>::LEN]);
         }
@@ -226,7 +196,7 @@ impl<S: Simd, M: PairModel> Visit<S, M> for PullBack<'_, S, M> {
         let (specular, back) =
             self.model.pull_back_specular::<_, PART>(self.terms, &shape, placed, &adjoint.specular);
         let response = Response { diffuse: adjoint.diffuse, specular };
-        scatter(self.take::<SPECULAR>(mu, &response, &back), lobes.index, self.gradient.records);
+        scatter(self.take::<SPECULAR>(mu, &response, &back), lobes.index, self.records);
     }
 }
 

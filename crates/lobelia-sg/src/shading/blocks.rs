@@ -1,12 +1,10 @@
 //! Lobes regrouped into blocks of [`MAX_LANES`]: a block has one [`Row`] per column (axis, sharpness, amplitude, then the
 //! terms of the model), so that the values of a lobe are close in memory for any number of lobes.
 
-use crate::brdf::SpecularValue;
 use crate::columns::{LOBE_COLUMNS, LobeColumns, LobeVisibility, ShadePoint};
 use crate::lanes::{Lanes, MAX_LANES, RECORD, Row, record_of, record_of_mut};
 use crate::model::{PairModel, Terms};
-use crate::real::Vec3Of;
-use crate::sg::Shape;
+use crate::{brdf::SpecularValue, real::Vec3Of, sg::Shape};
 use fearless_simd::Simd;
 
 /// Number of rows of a block of prepared lobes: columns of lobes, terms of the model, the [`limit_rows`], and the columns of each lobe
@@ -126,12 +124,20 @@ pub fn exponent_limits(lobes: &LobeColumns) -> impl Fn(usize) -> f32 {
     }
 }
 
-/// The inputs that all points share.
+/// The inputs that all points share; without a model, the formulas are not chosen yet.
+#[derive(Clone, Copy)]
 pub struct Shared<'a, M> {
     pub model: M,
+    /// The specular material.
     pub specular: &'a SpecularValue,
     /// Blocks of [`block_rows`] rows.
     pub lobes: &'a [Row],
+}
+
+impl<'a> Shared<'a, ()> {
+    pub(super) fn by<M>(self, model: M) -> Shared<'a, M> {
+        Shared { model, specular: self.specular, lobes: self.lobes }
+    }
 }
 
 impl<M: PairModel> Shared<'_, M> {

@@ -1,16 +1,15 @@
 //! The closed forms of this crate, selected at run time.
 
-use super::loops::{FineLoops, Kernels, Loops};
+use super::loops::{Kernels, Loops};
 use super::slices;
 use crate::accurate::{ACCURATE_DEFAULT, ACCURATE_HIGH, GGX_DEFAULT, GGX_HIGH, Quality};
 use crate::brdf::{Facets, Ndf, SpecularValue};
 use crate::columns::{
     ChunkSums, Layers, Lighting, LobeColumns, PointAdjoint, RadianceColumns, ShadePoint, SharedGradient,
 };
-use crate::published::Published;
 use crate::real::{Real, Vec3Of};
-use crate::sg::Lobe;
 use crate::{accurate, published};
+use crate::{published::Published, sg::Lobe};
 use std::fmt::Debug;
 
 /// The closed form that shades.
@@ -28,67 +27,9 @@ impl Default for ClosedForm {
     }
 }
 
-/// Diffuse and specular radiance of one point under one lobe.
-type LayersOf<F> = (Vec3Of<F>, Vec3Of<F>);
-
-/// A float type for single pairs. Its formulas are compiled in this crate, not in every crate that calls them.
-pub trait Scalar: Real {
-    /// [`published::shade_pair`] in this float.
-    fn published(
-        normal: Vec3Of<Self>,
-        to_viewer: Vec3Of<Self>,
-        lobe: &Lobe<Self>,
-        albedo: Vec3Of<Self>,
-        specular_albedo: Vec3Of<Self>,
-        roughness: Self,
-    ) -> LayersOf<Self>;
-    /// [`accurate::shade_pair`] in this float.
-    fn accurate(
-        quality: Quality,
-        normal: Vec3Of<Self>,
-        to_viewer: Vec3Of<Self>,
-        lobe: &Lobe<Self>,
-        albedo: Vec3Of<Self>,
-        specular_albedo: Vec3Of<Self>,
-        facets: Facets<Self>,
-    ) -> LayersOf<Self>;
-}
-
-macro_rules! scalar {
-    ($t:ty) => {
-        impl Scalar for $t {
-            #[inline(never)]
-            fn published(
-                normal: Vec3Of<Self>,
-                to_viewer: Vec3Of<Self>,
-                lobe: &Lobe<Self>,
-                albedo: Vec3Of<Self>,
-                specular_albedo: Vec3Of<Self>,
-                roughness: Self,
-            ) -> LayersOf<Self> {
-                published::shade_pair(normal, to_viewer, lobe, albedo, specular_albedo, roughness)
-            }
-            #[inline(never)]
-            fn accurate(
-                quality: Quality,
-                normal: Vec3Of<Self>,
-                to_viewer: Vec3Of<Self>,
-                lobe: &Lobe<Self>,
-                albedo: Vec3Of<Self>,
-                specular_albedo: Vec3Of<Self>,
-                facets: Facets<Self>,
-            ) -> LayersOf<Self> {
-                accurate::shade_pair(quality, normal, to_viewer, lobe, albedo, specular_albedo, facets)
-            }
-        }
-    };
-}
-scalar!(f32);
-scalar!(f64);
-
 impl ClosedForm {
     /// Diffuse and specular radiance of one point under one lobe, each at least 0.
-    pub fn shade_pair<F: Scalar>(
+    pub fn shade_pair<F: Real>(
         self,
         [normal, to_viewer]: [Vec3Of<F>; 2],
         lobe: &Lobe<F>,
@@ -96,15 +37,15 @@ impl ClosedForm {
         specular_albedo: Vec3Of<F>,
         facets: Facets<F>,
     ) -> [Vec3Of<F>; 2] {
-        let layers = match self {
+        let (diffuse, specular) = match self {
             Self::Published => {
-                F::published(normal, to_viewer, lobe, albedo, specular_albedo, facets.roughness)
+                published::shade_pair(normal, to_viewer, lobe, albedo, specular_albedo, facets.roughness)
             }
             Self::Accurate(quality) => {
-                F::accurate(quality, normal, to_viewer, lobe, albedo, specular_albedo, facets)
+                accurate::shade_pair(quality, normal, to_viewer, lobe, albedo, specular_albedo, facets)
             }
         };
-        [layers.0.map(F::relu), layers.1.map(F::relu)]
+        [diffuse.map(F::relu), specular.map(F::relu)]
     }
 
     /// [`shade_with`](super::slices::shade_with) with this form.
@@ -166,15 +107,11 @@ impl ClosedForm {
     #[inline(never)]
     fn kernels(self, ndf: Ndf) -> &'static dyn Kernels {
         match (self, ndf) {
-            (Self::Published, _) => &Loops(Published),
-            (Self::Accurate(Quality::Default), Ndf::Sg) => &Loops(ACCURATE_DEFAULT),
-            (Self::Accurate(Quality::High), Ndf::Sg) => {
-                &FineLoops { fine: Loops(ACCURATE_HIGH), coarse: Loops(ACCURATE_DEFAULT) }
-            }
-            (Self::Accurate(Quality::Default), Ndf::Ggx) => &Loops(GGX_DEFAULT),
-            (Self::Accurate(Quality::High), Ndf::Ggx) => {
-                &FineLoops { fine: Loops(GGX_HIGH), coarse: Loops(GGX_DEFAULT) }
-            }
+            (Self::Published, _) => &Loops(Published, Published),
+            (Self::Accurate(Quality::Default), Ndf::Sg) => &Loops(ACCURATE_DEFAULT, ACCURATE_DEFAULT),
+            (Self::Accurate(Quality::High), Ndf::Sg) => &Loops(ACCURATE_HIGH, ACCURATE_DEFAULT),
+            (Self::Accurate(Quality::Default), Ndf::Ggx) => &Loops(GGX_DEFAULT, GGX_DEFAULT),
+            (Self::Accurate(Quality::High), Ndf::Ggx) => &Loops(GGX_HIGH, GGX_DEFAULT),
         }
     }
 }

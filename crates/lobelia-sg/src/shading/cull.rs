@@ -2,7 +2,7 @@
 
 use super::blocks::{limit_rows, load, record};
 use crate::lanes::{Lanes, MAX_LANES, RECORD, Row};
-use crate::model::{PairModel, RULES, Reach};
+use crate::model::{PairModel, Part, RULES, Reach, SMOOTH};
 use crate::real::{Real, Vec3Of, dot};
 use crate::sg::{Dual, Shape};
 use fearless_simd::Simd;
@@ -79,13 +79,9 @@ pub struct Picked {
 }
 
 impl Picked {
-    fn new() -> Self {
-        Self { index: [0.0; ROOM], light: [[0.0; ROOM]; 3], count: 0 }
-    }
-
     /// None for any rule.
     pub fn none() -> PickedByRule {
-        RULES.map(|_| Self::new())
+        RULES.map(|_| Self { index: [0.0; ROOM], light: [[0.0; ROOM]; 3], count: 0 })
     }
 
     /// Adds the lobes whose bits are set; `index` holds the indices of the lanes.
@@ -108,9 +104,13 @@ impl Picked {
         }
     }
 
-    /// The irradiance from the lobes from position `at` on.
+    /// The irradiance from the lobes from position `at` on, which is noted for [`SMOOTH`] alone.
     #[inline(always)]
-    pub fn light<S: Simd>(&self, simd: S, at: usize) -> Dual<Lanes<S>> {
+    pub fn light<S: Simd, const PART: Part>(&self, simd: S, at: usize) -> Dual<Lanes<S>> {
+        if PART != SMOOTH {
+            let zero = Lanes::splat(simd, 0.0);
+            return Dual { value: zero, by_sharpness: zero, by_cosine: zero };
+        }
         let range = at..at + Lanes::<S>::LEN;
         let [value, by_sharpness, by_cosine] = &self.light;
         Dual {

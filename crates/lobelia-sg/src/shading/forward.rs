@@ -1,7 +1,7 @@
 //! Radiance of a chunk of points.
 
 use super::blocks::{Chunk, LobeVector, Prepared, Shared, reaching, splat};
-use super::cull::{Gathered, Picked, PickedByRule};
+use super::cull::{Gathered, Picked};
 use super::walk::{Visit, walk};
 use crate::columns::{Layers, LobeVisibility, PointVisibility, ShadePoint};
 use crate::lanes::Lanes;
@@ -29,7 +29,10 @@ pub fn shade_chunk<S: Simd, M: PairModel>(
         let Some(prepared) = prepared.as_ref().filter(|_| !point.is_missed()) else { continue };
         let (terms, frozen) = prepared.point(lane);
         let (row, around) = LobeVisibility::point(visibility, i, shared.stride());
-        let light = light_of(simd, shared, &splat::<S, M>(simd, &terms), row, &mut picked);
+        let terms = &splat::<S, M>(simd, &terms);
+        let mut shading = Shading { simd, model: shared.model, terms, row, light: Light::zero(simd) };
+        walk(simd, shared, terms, &mut picked, &mut shading);
+        let light = shading.light.total();
         let weights = shared.model.specular_weights(&frozen, shared.specular);
         *out = layers::<M>(point, &around, &light, &weights);
     }
@@ -52,20 +55,6 @@ fn layers<M: PairModel>(
         }),
         specular: std::array::from_fn(|c| (specular(c) * around.specular[c]).max(0.0)),
     }
-}
-
-/// The light of all lobes at one point.
-#[inline(always)]
-fn light_of<S: Simd, M: PairModel>(
-    simd: S,
-    shared: &Shared<'_, M>,
-    terms: &M::Point<Lanes<S>>,
-    row: Option<&[u8]>,
-    picked: &mut PickedByRule,
-) -> Sums<M> {
-    let mut shading = Shading { simd, model: shared.model, terms, row, light: Light::zero(simd) };
-    walk(simd, shared, terms, picked, &mut shading);
-    shading.light.total()
 }
 
 /// The state of the loop over lobes for one point.

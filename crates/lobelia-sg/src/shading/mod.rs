@@ -22,6 +22,6 @@ pub use crate::columns::{
     ChunkSums, LOBE_COLUMNS, Layers, Lighting, LobeColumns, LobeVisibility, PointAdjoint, PointVisibility,
     RadianceAdjoint, RadianceColumns, ShadePoint, SharedGradient,
 };
-pub use closed_form::{ClosedForm, Cpu, PairLoops, Scalar, ShadeCall};
+pub use closed_form::{ClosedForm, Cpu, PairLoops, ShadeCall};
 pub use respond::RESPONSE_ROWS;
 pub use slices::{CHUNK, shade_adjoint_with, shade_with};

@@ -3,10 +3,9 @@
 use super::blocks::{LobeVector, Prepared, Shared, splat};
 use super::cull::{Gathered, Picked};
 use super::walk::{Visit, walk};
-use crate::columns::ShadePoint;
 use crate::lanes::{Lanes, MAX_LANES};
 use crate::model::{DIFFUSE, PairModel, Part, SPECULAR, Terms};
-use crate::real::Vec3Of;
+use crate::{columns::ShadePoint, real::Vec3Of};
 use fearless_simd::Simd;
 
 /// Rows of a point's response: irradiance, and specular radiance in red, green and blue.

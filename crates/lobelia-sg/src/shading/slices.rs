@@ -1,14 +1,12 @@
 //! Many points by many lobes: chunks over the threads, and sums in a fixed order.
 
-use super::blocks::Chunk;
-use super::loops::{Inputs, Kernels, Loops};
+use super::blocks::{Chunk, Shared};
+use super::loops::{Kernels, Loops};
 use super::respond::RESPONSE_ROWS;
-use crate::brdf::SpecularValue;
 use crate::columns::{
     ChunkSums, Layers, Lighting, LobeColumns, PointAdjoint, RadianceColumns, ShadePoint, SharedGradient,
 };
-use crate::lanes::Row;
-use crate::model::PairModel;
+use crate::{brdf::SpecularValue, lanes::Row, model::PairModel};
 use rayon::prelude::*;
 use std::cell::Cell;
 
@@ -30,7 +28,7 @@ pub fn shade_with<M: PairModel>(
     lighting: Lighting<'_>,
     out: &mut [Layers],
 ) {
-    shade(&Loops(model), points, specular, lighting, out);
+    shade(&Loops(model, model), points, specular, lighting, out);
 }
 
 /// Propagates the adjoint of the radiance of each point back to the points and to the shared parameters (not to the visibility),
@@ -45,7 +43,7 @@ pub fn shade_adjoint_with<M: PairModel>(
     point_adjoint: &mut [PointAdjoint],
     gradient: &mut SharedGradient,
 ) {
-    shade_adjoint(&Loops(model), points, specular, lighting, radiance, point_adjoint, gradient);
+    shade_adjoint(&Loops(model, model), points, specular, lighting, radiance, point_adjoint, gradient);
 }
 
 /// [`shade_with`], given the loops of a model.
@@ -60,10 +58,10 @@ pub(crate) fn shade(
     lighting.check(points.len());
     let mut scratch = SCRATCH.take();
     kernels.prepare_lobes(lighting.lobes, &mut scratch);
-    let inputs = Inputs { specular, lobes: &scratch };
+    let shared = Shared { model: (), specular, lobes: &scratch };
     let chunks = points.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK));
     chunks.enumerate().for_each(|(i, (points, out))| {
-        kernels.shade(inputs, Chunk { points, visibility: lighting.chunk(i, CHUNK) }, out);
+        kernels.shade(shared, Chunk { points, visibility: lighting.chunk(i, CHUNK) }, out);
     });
     SCRATCH.set(scratch);
 }
@@ -100,17 +98,17 @@ pub(crate) fn shade_adjoint_in_chunks(
     lighting.check(points.len());
     let mut lobes = SCRATCH.take();
     kernels.prepare_lobes(lighting.lobes, &mut lobes);
-    let inputs = Inputs { specular, lobes: &lobes };
+    let shared = Shared { model: (), specular, lobes: &lobes };
     sums.reset(points.len().div_ceil(CHUNK), lighting.lobes.len());
     let rows = sums.rows_of_chunk();
     points
         .par_chunks(CHUNK)
         .zip(shaded.par_chunks(CHUNK).zip(adjoint.par_chunks(CHUNK)))
-        .zip(point_adjoint.par_chunks_mut(CHUNK).zip(sums.rows_mut().par_chunks_mut(rows)))
+        .zip(point_adjoint.par_chunks_mut(CHUNK).zip(sums.rows.par_chunks_mut(rows)))
         .enumerate()
         .for_each(|(i, ((points, (shaded, adjoint)), (out, partial)))| {
             let chunk = Chunk { points, visibility: lighting.chunk(i, CHUNK) };
-            kernels.pull_back(inputs, chunk, RadianceColumns { shaded, adjoint }, out, partial);
+            kernels.pull_back(shared, chunk, RadianceColumns { shaded, adjoint }, out, partial);
         });
     SCRATCH.set(lobes);
 }
@@ -126,6 +124,6 @@ pub(crate) fn respond(
     assert_eq!(points.len() * RESPONSE_ROWS * lobes.stride(), out.len(), "four rows of lobes per point");
     let mut scratch = SCRATCH.take();
     kernels.prepare_lobes(lobes, &mut scratch);
-    kernels.respond(Inputs { specular, lobes: &scratch }, points, out);
+    kernels.respond(Shared { model: (), specular, lobes: &scratch }, points, out);
     SCRATCH.set(scratch);
 }

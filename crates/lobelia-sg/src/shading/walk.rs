@@ -52,7 +52,7 @@ pub(super) fn walk<S: Simd, M: PairModel, V: Visit<S, M>>(
         if M::HAS_NARROW {
             process::<S, M, SPECULAR>(simd, shared, terms, &mut picked[0], visitor);
             process::<S, M, NARROW>(simd, shared, terms, &mut picked[1], visitor);
-            process_smooth::<S, M>(simd, shared, terms, &mut picked[2], visitor);
+            process::<S, M, SMOOTH>(simd, shared, terms, &mut picked[2], visitor);
             continue;
         }
         // Functions of their own: LLVM takes several times as long for one function with all rules in it. Not for several SGs,
@@ -64,7 +64,7 @@ pub(super) fn walk<S: Simd, M: PairModel, V: Visit<S, M>>(
         if M::HAS_SMOOTH {
             simd.vectorize(
                 #[inline(always)]
-                || process_smooth::<S, M>(simd, shared, terms, &mut picked[2], visitor),
+                || process::<S, M, SMOOTH>(simd, shared, terms, &mut picked[2], visitor),
             );
         }
     }
@@ -102,50 +102,25 @@ fn process<S: Simd, M: PairModel, const PART: Part>(
     visitor: &mut impl Visit<S, M>,
 ) {
     let model = shared.model;
-    for indices in picked.vectors::<S>() {
+    for (i, indices) in picked.vectors::<S>().enumerate() {
         let (one, two) = indices.split_at(indices.len().min(Lanes::<S>::LEN));
+        let at = 2 * i * Lanes::<S>::LEN;
         let mut lobes = [Gathered::new::<M>(simd, shared.lobes, one); 2];
         let placed = if two.is_empty() {
-            let only = model.place::<_, PART>(terms, &lobes[0].shape());
-            [only, only]
+            let [lobes, _] = &lobes;
+            let light = picked.light::<S, PART>(simd, at);
+            [model.place::<_, PART>(terms, &lobes.shape(), lobes.width(), light); 2]
         } else {
             lobes[1] = Gathered::new::<M>(simd, shared.lobes, two);
-            model.place_two::<_, PART>(terms, [&lobes[0].shape(), &lobes[1].shape()])
+            let [a, b] = &lobes;
+            let shapes = [&a.shape(), &b.shape()];
+            let next = at + Lanes::<S>::LEN;
+            let light = [picked.light::<S, PART>(simd, at), picked.light::<S, PART>(simd, next)];
+            model.place_two::<_, PART>(terms, shapes, [a.width(), b.width()], light)
         };
         // A loop, so that there is one copy of the code.
         for (lobes, placed) in lobes.iter().zip(&placed).take(if two.is_empty() { 1 } else { 2 }) {
             visitor.picked::<PART>(lobes, placed);
-        }
-    }
-    picked.count = 0;
-}
-
-/// As [`process`] for the lobes over which the response is smooth.
-#[inline(always)]
-fn process_smooth<S: Simd, M: PairModel>(
-    simd: S,
-    shared: &Shared<'_, M>,
-    terms: &M::Point<Lanes<S>>,
-    picked: &mut Picked,
-    visitor: &mut impl Visit<S, M>,
-) {
-    let model = shared.model;
-    for (i, indices) in picked.vectors::<S>().enumerate() {
-        let (one, two) = indices.split_at(indices.len().min(Lanes::<S>::LEN));
-        let at = 2 * i * Lanes::<S>::LEN;
-        let (first, second) = (picked.light(simd, at), picked.light(simd, at + Lanes::<S>::LEN));
-        let mut lobes = [Gathered::new::<M>(simd, shared.lobes, one); 2];
-        let placed = if two.is_empty() {
-            let only = model.place_smooth(terms, &lobes[0].shape(), lobes[0].width(), first);
-            [only, only]
-        } else {
-            lobes[1] = Gathered::new::<M>(simd, shared.lobes, two);
-            let [a, b] = &lobes;
-            let widths = [a.width(), b.width()];
-            model.place_two_smooth(terms, [&a.shape(), &b.shape()], widths, [first, second])
-        };
-        for (lobes, placed) in lobes.iter().zip(&placed).take(if two.is_empty() { 1 } else { 2 }) {
-            visitor.picked::<SMOOTH>(lobes, placed);
         }
     }
     picked.count = 0;

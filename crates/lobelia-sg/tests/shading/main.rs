@@ -2,7 +2,6 @@
 
 use lobelia_sg::*;
 
-#[path = "../../src/cases.rs"]
 mod cases;
 mod properties;
 mod published_pairs;

@@ -1,11 +1,9 @@
 //! Properties for all inputs: results are finite, not negative, and monotone where physics requires it.
 
-use crate::accurate::Quality;
 use crate::brdf::{Facets, Ndf};
 use crate::cases::{direction, unit};
-use crate::real::dot;
-use crate::sg::Lobe;
 use crate::shading::*;
+use crate::{accurate::Quality, real::dot, sg::Lobe};
 use proptest::prelude::*;
 
 /// Every closed form with every NDF that it supports.

@@ -2,8 +2,7 @@ use crate::cases::{Case, random_case, unit};
 use crate::published::{evaluate_pair, prepare_point, pull_back_normal, pull_back_pair, shade_pair};
 use crate::real::{add, dot, scale, sub};
 use crate::sg::Lobe;
-use rand::SeedableRng;
-use rand::rngs::SmallRng;
+use rand::{SeedableRng, rngs::SmallRng};
 use std::f64::consts::PI;
 
 pub(crate) fn forward(case: &Case) -> ([f64; 3], [f64; 3]) {

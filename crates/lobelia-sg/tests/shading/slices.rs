@@ -2,9 +2,8 @@ use crate::accurate::{PointDerivatives, PointTerms, pull_back_pair, pull_back_po
 use crate::brdf::{Facets, Ndf};
 use crate::cases::{Case, random_case};
 use crate::published_pairs::{forward, gradient};
-use crate::real::add;
-use crate::sg::Lobe;
 use crate::shading::*;
+use crate::{real::add, sg::Lobe};
 use rand::{SeedableRng, rngs::SmallRng};
 use std::f32::consts::PI;
 
@@ -14,22 +13,6 @@ fn narrow(v: [f64; 3]) -> [f32; 3] {
 
 /// Adjoint of the radiance of every point, per channel.
 const ADJOINT: [f64; 3] = [0.7, -0.4, 0.5];
-
-/// The adjoint of what `shaded` holds.
-fn shade_adjoint(
-    form: ClosedForm,
-    points: &[ShadePoint],
-    specular: &SpecularValue,
-    lobes: &LobeColumns,
-    shaded: &[Layers],
-    adjoint: &[RadianceAdjoint],
-    out: &mut [PointAdjoint],
-) -> SharedGradient {
-    let mut gradient = SharedGradient::default();
-    let radiance = RadianceColumns { shaded, adjoint };
-    form.shade_adjoint(points, specular, lobes, radiance, out, &mut gradient);
-    gradient
-}
 
 /// Radiance of points under a form, and the adjoints of the points and of the shared inputs.
 struct RoundTrip {
@@ -193,13 +176,9 @@ fn check_extremes(form: ClosedForm, ndf: Ndf) {
                     amplitude: [1.0; 3],
                 }));
                 let specular = SpecularValue { albedo: [0.3; 3], roughness, ndf };
-                let mut out = [Layers::default()];
-                form.shade(&[point], &specular, &lobes, &mut out);
-                let ones = [RadianceAdjoint([1.0; 3])];
-                let mut back = [PointAdjoint::default()];
-                let shared = shade_adjoint(form, &[point], &specular, &lobes, &out, &ones, &mut back);
-                let all = out[0].diffuse.iter().chain(&out[0].specular).chain(&back[0].normal);
-                assert!(all.chain(&shared.specular.albedo).all(|x| x.is_finite()), "{out:?} {back:?}");
+                let RoundTrip { shaded, back, shared } = round_trip(form, &[point], &specular, &lobes);
+                let all = shaded[0].diffuse.iter().chain(&shaded[0].specular).chain(&back[0].normal);
+                assert!(all.chain(&shared.specular.albedo).all(|x| x.is_finite()), "{shaded:?} {back:?}");
                 assert!(shared.specular.roughness.is_finite());
                 assert!((0..3).all(|k| shared.lobes.get(k).sharpness.is_finite()));
             }
@@ -234,22 +213,20 @@ fn threads_and_what_was_there_before_do_not_change_a_bit() {
 
 #[test]
 fn nothing_to_do_is_no_failure() {
-    let lobes = LobeColumns::zeros(0);
-    let mut out = [Layers::default()];
     let point = ShadePoint { normal: [0.0, 1.0, 0.0], to_viewer: [0.0, 1.0, 0.0], albedo: [0.5; 3] };
     let specular = SpecularValue { albedo: [0.3; 3], roughness: 0.3, ndf: Ndf::Sg };
-    ClosedForm::Published.shade(&[point], &specular, &lobes, &mut out);
-    assert_eq!(out[0], Layers::default());
-    let gradient =
-        shade_adjoint(ClosedForm::Published, &[], &specular, &LobeColumns::zeros(3), &[], &[], &mut []);
+    let run = |points: &[ShadePoint], lobes: usize| {
+        round_trip(ClosedForm::Published, points, &specular, &LobeColumns::zeros(lobes))
+    };
+    assert_eq!(run(&[point], 0).shaded, [Layers::default()]);
+    let gradient = run(&[], 3).shared;
     assert_eq!((gradient.lobes.len(), gradient.lobes.get(2).sharpness), (3, 0.0));
 }
 
 /// Light enough that much is left out: what is left out must not show.
 #[test]
 fn accurate_slices_agree_with_the_sum_of_all_pairs_in_f64() {
-    use crate::accurate::ggx::prepare_ggx_point;
-    use crate::accurate::prepare_point;
+    use crate::{accurate::ggx::prepare_ggx_point, accurate::prepare_point};
     check_accurate_slices(Ndf::Sg, |k| prepare_point(k.normal, k.to_viewer, k.roughness));
     check_accurate_slices(Ndf::Ggx, |k| prepare_ggx_point(k.normal, k.to_viewer, k.roughness));
 }

@@ -6,13 +6,11 @@
 //! | --- | --- | --- | --- |
 //! | [`CONTRAST`] | | 0.02 | difference of colors as they are shown, in [0, 1], from which both pixels get all rays |
 
-use crate::shade::frame::{FrameTarget, PixelSums, render_rows, run_for_no_pixel, spawn_pool};
+use crate::shade::frame::{FrameTarget, PixelSums, bands, render_rows, run_for_no_pixel, spawn_pool};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
-use lobelia_geometry::error::Result;
-use lobelia_geometry::view::Camera;
-use lobelia_world::pipeline::Pipeline;
-use lobelia_world::sample::point::Scenery;
+use lobelia_geometry::{error::Result, view::Camera};
+use lobelia_world::{pipeline::Pipeline, sample::point::Scenery};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -52,9 +50,7 @@ pub fn render_adaptive(
     spawn_pool(&mut pipeline.world, most);
     // The light behind is there before the first band, which may not show the object.
     run_for_no_pixel(pipeline, camera)?;
-    let height = rows_per_band.max(1);
-    (0..camera.height).step_by(height as usize).try_for_each(|start| {
-        let rows = start..start.saturating_add(height).min(camera.height);
+    bands(camera, rows_per_band).try_for_each(|rows| {
         let band = render_band(pipeline, camera, samples_per_pixel, encode, rows, &shows)?;
         take(&pipeline.world, band)
     })
@@ -152,12 +148,10 @@ fn differing_pixels(
 mod tests {
     use super::*;
     use crate::shade::frame::{FramePlugin, render_frame, resolve};
-    use lobelia_geometry::mesh::Surface;
-    use lobelia_geometry::mesh::primitive::sphere_mesh;
-    use lobelia_world::light::LightLobe;
-    use lobelia_world::light::lights::IncidentLight;
-    use lobelia_world::material::SpecularLobe;
-    use lobelia_world::sample::spawn_object;
+    use lobelia_geometry::{mesh::Surface, mesh::primitive::sphere_mesh};
+    use lobelia_world::{
+        light::LightLobe, light::lights::IncidentLight, material::SpecularLobe, sample::spawn_object,
+    };
     use std::sync::Arc;
 
     /// A sphere of two colors under two lobes.

@@ -30,10 +30,10 @@ impl ShadingDevice {
 #[cfg(feature = "gpu")]
 fn open_gpu(name: &str) -> Result<ShadingDevice> {
     let wanted = (!name.eq_ignore_ascii_case("gpu")).then_some(name);
-    match lobelia_gpu::Gpu::open(wanted) {
-        Ok(gpu) => Ok(ShadingDevice(Arc::new(gpu))),
-        Err(error) => Err(Error::usage(format!("--device {name}: {error}"), "`--device cpu` needs nothing.")),
-    }
+    let gpu = lobelia_gpu::Gpu::open(wanted).map_err(|error| {
+        Error::usage(format!("--device {name}: {error}"), "`--device cpu` needs nothing.")
+    })?;
+    Ok(ShadingDevice(Arc::new(gpu)))
 }
 
 #[cfg(not(feature = "gpu"))]

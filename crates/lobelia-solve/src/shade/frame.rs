@@ -5,12 +5,9 @@ use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, With, World}
 use glam::Vec3;
 use lobelia_geometry::error::stop::check_interrupted;
 use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::{BLOCK_ROWS, Frame};
-use lobelia_geometry::view::{Camera, ViewIndex};
+use lobelia_geometry::view::{BLOCK_ROWS, Camera, Frame, ViewIndex};
 use lobelia_sg::shading::{ClosedForm, Layers, ShadePoint};
-use lobelia_world::light::light_frame::PictureRotation;
 use lobelia_world::light::lights::{IncidentLight, LightChoice, provide_light};
-use lobelia_world::material::edit::MaterialState;
 use lobelia_world::material::material_source::{
     BaseMaterials, MaterialSource, PlainBlends, ShownMaterial, blends_changed, gather_materials,
     note_plain_blends,
@@ -20,6 +17,7 @@ use lobelia_world::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage
 use lobelia_world::sample::pixel::{PixelOf, SampleIndex, ViewRay, Window};
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
 use lobelia_world::sample::{FrameSample, Samples, despawn_pool};
+use lobelia_world::{light::light_frame::PictureRotation, material::edit::MaterialState};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -81,12 +79,8 @@ pub struct FrameTarget {
 }
 
 impl FrameTarget {
-    /// An empty picture with about `samples_per_pixel` camera rays per pixel, on a square grid.
-    pub fn new(camera: Camera, samples_per_pixel: u32) -> Self {
-        Self::band(camera, samples_per_pixel, 0..camera.height)
-    }
-
-    /// Only `rows` of that picture. Rays and random numbers of a pixel are the same in any band.
+    /// Empty `rows` of a picture with about `samples_per_pixel` camera rays per pixel, on a square grid. Rays and random numbers of a pixel
+    /// are the same in any band.
     pub fn band(camera: Camera, samples_per_pixel: u32, rows: Range<u32>) -> Self {
         let side = (f64::from(samples_per_pixel.max(1))).sqrt().round().max(1.0) as u32;
         let count = camera.width as usize * rows.len();
@@ -171,7 +165,7 @@ pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
 /// # Errors
 /// The first error of a system.
 pub fn render_frame(pipeline: &mut Pipeline, camera: Camera, samples_per_pixel: u32) -> Result<FrameTarget> {
-    let target = FrameTarget::new(camera, samples_per_pixel);
+    let target = FrameTarget::band(camera, samples_per_pixel, 0..camera.height);
     spawn_pool(&mut pipeline.world, target.samples().len());
     let rendered = render_rows(pipeline, target);
     despawn_pool(&mut pipeline.world);
@@ -193,15 +187,20 @@ pub fn render_bands(
     let band = |rows: Range<u32>| FrameTarget::band(camera, samples_per_pixel, rows);
     let samples = camera.width as usize * camera.height as usize * band(0..0).samples_per_pixel();
     spawn_pool(&mut pipeline.world, samples);
-    let height = rows_per_band.max(1);
-    let outcome = (0..camera.height).step_by(height as usize).try_for_each(|start| {
-        let rows = start..start.saturating_add(height).min(camera.height);
+    let outcome = bands(camera, rows_per_band).try_for_each(|rows| {
+        let start = rows.start;
         // The sums go before the band is taken, which needs memory of its own.
         let frame = resolve(&render_rows(pipeline, band(rows))?);
         take(&pipeline.world, start, &frame)
     });
     despawn_pool(&mut pipeline.world);
     outcome
+}
+
+/// The rows of the bands of a picture.
+pub(super) fn bands(camera: Camera, rows_per_band: u32) -> impl Iterator<Item = Range<u32>> {
+    let (height, count) = (camera.height, rows_per_band.max(1));
+    (0..height).step_by(count as usize).map(move |start| start..start.saturating_add(count).min(height))
 }
 
 /// Pixels of a band: enough to use all threads, few enough for memory.
@@ -242,20 +241,31 @@ pub(super) fn spawn_pool(world: &mut World, samples: usize) {
 /// Renders the rows of `target`, or its chosen pixels, tile by tile.
 pub(super) fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Result<FrameTarget> {
     let (samples, per_pixel) = (target.samples(), target.samples_per_pixel());
-    pipeline.world.insert_resource(PictureRotation(target.camera.world_from_camera.matrix3.into()));
-    pipeline.world.insert_resource(target);
     // Tiles begin at the same samples of the picture whatever the rows: a sample has the same place in the pool, and with it the same
     // random numbers, in any band. They have whole pixels, unless a pixel has more samples.
     let tile = POOL - if per_pixel <= POOL { POOL % per_pixel } else { 0 };
     let first = samples.start - samples.start % tile;
-    let outcome = (first..samples.end).step_by(tile).try_for_each(|cursor| {
-        pipeline.world.resource_mut::<FrameTarget>().cursor = cursor;
-        let end = samples.end.min(cursor + tile);
-        pipeline.world.resource_mut::<Window>().0 = samples.start.max(cursor) - cursor..end - cursor;
-        pipeline.run(Phase::Frame)?;
-        // A tile that was stopped is not whole.
-        check_interrupted()
-    });
+    with_target(pipeline, target, |pipeline| {
+        (first..samples.end).step_by(tile).try_for_each(|cursor| {
+            pipeline.world.resource_mut::<FrameTarget>().cursor = cursor;
+            let end = samples.end.min(cursor + tile);
+            pipeline.world.resource_mut::<Window>().0 = samples.start.max(cursor) - cursor..end - cursor;
+            pipeline.run(Phase::Frame)?;
+            // A tile that was stopped is not whole.
+            check_interrupted()
+        })
+    })
+}
+
+/// Calls `run` while the target and the rotation of its camera are resources.
+fn with_target(
+    pipeline: &mut Pipeline,
+    target: FrameTarget,
+    run: impl FnOnce(&mut Pipeline) -> Result<()>,
+) -> Result<FrameTarget> {
+    pipeline.world.insert_resource(PictureRotation(target.camera.world_from_camera.matrix3.into()));
+    pipeline.world.insert_resource(target);
+    let outcome = run(pipeline);
     pipeline.world.remove_resource::<PictureRotation>();
     let target = pipeline.world.remove_resource::<FrameTarget>().expect("it was inserted above");
     outcome.map(|()| target)
@@ -266,13 +276,8 @@ pub(super) fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Resul
 /// # Errors
 /// The first error of a system.
 pub(super) fn run_for_no_pixel(pipeline: &mut Pipeline, camera: Camera) -> Result<()> {
-    pipeline.world.insert_resource(PictureRotation(camera.world_from_camera.matrix3.into()));
-    pipeline.world.insert_resource(FrameTarget::band(camera, 1, 0..0));
     pipeline.world.resource_mut::<Window>().0 = 0..0;
-    let ran = pipeline.run(Phase::Frame);
-    pipeline.world.remove_resource::<PictureRotation>();
-    pipeline.world.remove_resource::<FrameTarget>();
-    ran
+    with_target(pipeline, FrameTarget::band(camera, 1, 0..0), |pipeline| pipeline.run(Phase::Frame)).map(drop)
 }
 
 /// The material that a frame would show now: the Frame phase runs for no pixel, so that the system in [`Slot::Material`] has its turn.
@@ -289,7 +294,6 @@ pub fn frame_material(pipeline: &mut Pipeline) -> Result<MaterialState> {
 /// Converts sums over samples to the layers of a frame: radiance averages over all samples, other layers over samples with a hit.
 pub fn resolve(target: &FrameTarget) -> Frame {
     let samples = target.samples_per_pixel() as f32;
-    let over_hits = |sum: Vec3, hits: u32| if hits > 0 { sum / hits as f32 } else { Vec3::ZERO };
     let each = |f: &(dyn Fn(&PixelSums) -> Vec3 + Sync)| target.pixels.par_iter().map(f).collect();
     Frame {
         width: target.camera.width as usize,
@@ -298,13 +302,9 @@ pub fn resolve(target: &FrameTarget) -> Frame {
         alpha: target.pixels.iter().map(|p| p.hits as f32 / samples).collect(),
         diffuse: each(&|p| p.diffuse / samples),
         specular: each(&|p| p.specular / samples),
-        albedo: each(&|p| over_hits(p.albedo, p.hits)),
+        albedo: each(&|p| p.albedo / p.hits.max(1) as f32),
         normal: each(&|p| p.normal.normalize_or_zero()),
-        depth: target
-            .pixels
-            .iter()
-            .map(|p| if p.hits > 0 { p.distance / p.hits as f32 } else { 0.0 })
-            .collect(),
+        depth: target.pixels.iter().map(|p| p.distance / p.hits.max(1) as f32).collect(),
     }
 }
 

@@ -5,26 +5,25 @@ use crate::shade::device::{ShadingDevice, failed, loops_of};
 use crate::shade::path_tracer::{PathEstimate, PathPoint, PathQuery, PathScene, PathSettings, shade_points};
 use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res};
-use bevy_ecs::schedule::ScheduleConfigs;
-use bevy_ecs::system::ScheduleSystem;
+use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::{Mat3, Vec3};
 use lobelia_geometry::error::Error;
 use lobelia_sg::shading::{
     ClosedForm, Layers, Lighting, LobeVisibility, PointVisibility, ShadeCall, ShadePoint, SpecularValue,
 };
-use lobelia_world::light::lights::IncidentLight;
 use lobelia_world::material::material_source::{
     BaseMaterials, ColumnOf, Holds, MaterialSource, MaterialTexels, ShownMaterial,
 };
-use lobelia_world::material::tilt::DirectionalAlbedo;
 use lobelia_world::material::{
     DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, Texels,
 };
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::Columns;
 use lobelia_world::sample::pixel::{PixelOf, SampleIndex, ViewRay};
 use lobelia_world::sample::point::{PointBlend, Scenery, SurfacePoint};
 use lobelia_world::sample::{LightRotations, Samples};
+use lobelia_world::{
+    light::lights::IncidentLight, material::tilt::DirectionalAlbedo, pipeline::SystemResult,
+    pipeline::pool::Columns,
+};
 use rayon::prelude::*;
 
 /// Settings of path tracing.
@@ -65,7 +64,18 @@ pub fn gather_points<M: MaterialSource>(
     let (points, rays, pixels, mut gathered) = samples.columns()?;
     let inputs = points.par_iter().zip(&*rays).zip(&*pixels).with_min_len(1024);
     gathered.par_iter_mut().zip(inputs).for_each(|(out, ((point, ray), pixel))| {
-        *out = gather_point(point, ray, &albedo, &sheen, &tilt);
+        *out = ShadePoint::default();
+        if !point.is_hit() {
+            return;
+        }
+        let to_viewer = -ray.0.direction;
+        let mixed = DirectionalAlbedo::mixed(&point.texels, |texel| DirectionalAlbedo {
+            albedo: albedo[texel].value().0,
+            sheen: sheen[texel].value().0,
+            tilt: tilt[texel].value().0,
+        });
+        let albedo = mixed.toward(point.normal, to_viewer).into();
+        *out = ShadePoint { normal: point.normal.into(), to_viewer: to_viewer.into(), albedo };
         if let Some(turn) = turns.get(pixel.view) {
             *out = turned(out, *turn);
         }
@@ -77,27 +87,6 @@ pub fn gather_points<M: MaterialSource>(
 pub fn turned(point: &ShadePoint, light_from_world: Mat3) -> ShadePoint {
     let turned = |direction: [f32; 3]| (light_from_world * Vec3::from(direction)).into();
     ShadePoint { normal: turned(point.normal), to_viewer: turned(point.to_viewer), ..*point }
-}
-
-fn gather_point(
-    point: &SurfacePoint,
-    ray: &ViewRay,
-    albedo: &[impl Holds<DiffuseAlbedo>],
-    sheen: &[impl Holds<DiffuseSheen>],
-    tilt: &[impl Holds<DiffuseTilt>],
-) -> ShadePoint {
-    if !point.is_hit() {
-        return ShadePoint::default();
-    }
-    let address = &point.texels;
-    let to_viewer = -ray.0.direction;
-    let mixed = DirectionalAlbedo::mixed(address, |texel| DirectionalAlbedo {
-        albedo: albedo[texel].value().0,
-        sheen: sheen[texel].value().0,
-        tilt: tilt[texel].value().0,
-    });
-    let albedo = mixed.toward(point.normal, to_viewer);
-    ShadePoint { normal: point.normal.into(), to_viewer: to_viewer.into(), albedo: albedo.into() }
 }
 
 /// Gather: interpolates the weights of the base materials at each surface point, if there are several.

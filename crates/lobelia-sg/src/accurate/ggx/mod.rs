@@ -9,8 +9,8 @@
 //! 0.03–1 and λ in 1e-3–1e6: 0.7 % median, 5 % at the 90th percentile, mean −0.7 %. Renderings of a sphere under one soft and
 //! two sharper lobes have a PSNR of 53 dB against path tracing of GGX itself for R = 0.15, 0.3 and 0.5, and 48 dB for R = 0.8.
 
-use super::point::{PointDerivatives, PointTerms, prepare_with_ndf};
-use crate::brdf::{Facets, Ndf, shadowing_k};
+use super::point::{Mixture, PointDerivatives, PointTerms, prepare_with_ndf};
+use crate::brdf::Ndf;
 use crate::real::{Real, Vec3Of};
 
 /// Number of SGs.
@@ -45,14 +45,21 @@ pub fn ggx_mixture<F: Real>(roughness: F) -> ([[F; 2]; GGX_LOBES], [[F; 2]; GGX_
 pub const GGX_TERMS: usize = GGX_LOBES + 1;
 
 /// [`ggx_mixture`], and GGX itself as (w·L/2π)·(1 + Ld(2 − d)/4)⁻² with d = 1 − h·n, L = 4β and w = 2/(α²L).
-#[inline(always)]
-pub fn ggx_terms<F: Real>(roughness: F) -> ([[F; 2]; GGX_TERMS], [[F; 2]; GGX_TERMS]) {
-    let ([a, b, c], [da, db, dc]) = ggx_mixture(roughness);
-    let (beta, beta_prime, alpha2) = steepness(roughness);
-    let (sharpness, slope) = (beta.times(4.0), beta_prime.times(4.0));
-    let weight = (alpha2 * sharpness).recip().times(2.0);
-    let weight_slope = -(roughness.recip().times(4.0) + slope / sharpness);
-    ([a, b, c, [sharpness, weight]], [da, db, dc, [slope, weight_slope]])
+#[derive(Clone, Copy, Debug, Default)]
+pub struct GgxSgs;
+
+impl Mixture<GGX_TERMS> for GgxSgs {
+    const KIND: Ndf = Ndf::Ggx;
+
+    #[inline(always)]
+    fn of<F: Real>(roughness: F) -> ([[F; 2]; GGX_TERMS], [[F; 2]; GGX_TERMS]) {
+        let ([a, b, c], [da, db, dc]) = ggx_mixture(roughness);
+        let (beta, beta_prime, alpha2) = steepness(roughness);
+        let (sharpness, slope) = (beta.times(4.0), beta_prime.times(4.0));
+        let weight = (alpha2 * sharpness).recip().times(2.0);
+        let weight_slope = -(roughness.recip().times(4.0) + slope / sharpness);
+        ([a, b, c, [sharpness, weight]], [da, db, dc, [slope, weight_slope]])
+    }
 }
 
 /// β and its derivative, and α².
@@ -74,9 +81,7 @@ pub fn prepare_ggx_point<F: Real>(
     to_viewer: Vec3Of<F>,
     roughness: F,
 ) -> (PointTerms<F, GGX_TERMS>, PointDerivatives<F, GGX_TERMS>) {
-    let (lobes, derivatives) = ggx_terms(roughness);
-    let shadowing = shadowing_k(Facets { ndf: Ndf::Ggx, roughness });
-    prepare_with_ndf(normal, to_viewer, shadowing, lobes, derivatives)
+    prepare_with_ndf::<F, GgxSgs, GGX_TERMS>(normal, to_viewer, roughness)
 }
 
 #[cfg(test)]

@@ -4,17 +4,8 @@
 use super::ring::{Reading, Ring, SHARE, both, read};
 use crate::accurate::placement::{LocalLight, Tail, Vec2Of};
 use crate::accurate::point::{PairAdjoint, PointSums, PointTerms};
-use crate::accurate::specular::PointTermsView;
 use crate::real::{Real, Vec3Of, dot};
-use crate::sg::Dual;
-
-/// How far a pair of directions is from the axis.
-struct Away<F> {
-    /// Along the normal.
-    rise: F,
-    /// Reduction of v·ω for the distance along the view.
-    view: F,
-}
+use crate::{accurate::specular::PointTermsView, sg::Dual};
 
 /// Sums over directions for the adjoint; each is weighted by its share of the objective.
 struct Sums<F> {
@@ -46,14 +37,14 @@ impl<F: Real> Sums<F> {
         }
     }
 
-    /// Adds a direction.
+    /// Adds a direction: how far its pair is from the axis along the normal, and the reduction of v·ω for that distance along the view.
     #[inline(always)]
     fn add(
         &mut self,
         point: &PointTermsView<F>,
         reading: &Reading<F>,
         [along, aside, cosine]: Vec3Of<F>,
-        away: &Away<F>,
+        [rise, reduced]: [F; 2],
         [powered, plain]: [F; 2],
     ) {
         let Reading { factors, half, over_sum, view_cosine, view_half, value: light, fresnel } = reading;
@@ -74,7 +65,7 @@ impl<F: Real> Sums<F> {
         self.torque[0] = across.mul_add(aside, self.torque[0]);
         self.torque[1] = self.torque[1] - across.mul_add(along, view * point.view[0] * cosine);
         self.torque[2] = view.mul_add(aside, self.torque[2]);
-        self.outward += up.mul_add(away.rise, -(view * (*view_cosine - away.view)));
+        self.outward += up.mul_add(rise, -(view * (*view_cosine - reduced)));
         let (turn, tilt) = (value * falls, value * factors.toward);
         self.normal[0] += tilt.mul_add(half[0], -(turn * along));
         self.normal[1] += tilt.mul_add(half[1], -(turn * aside));
@@ -106,11 +97,10 @@ pub(super) fn pull_back_of<F: Real, const NDF: usize, const TAIL: Tail>(
         let blocked = cosine.mul_add(view.one_minus_k, view.k);
         // The part of X along the axis shrinks with the square of the width.
         let twice = bend.plus(1.0);
-        let rise = (-twice).mul_add(light.axis[2], cosine);
-        let away = Away { rise, view: twice * view_axis };
+        let away = [(-twice).mul_add(light.axis[2], cosine), twice * view_axis];
         for direction in both(center, side) {
             let reading = read::<F, TAIL>(&view, ndf, direction, blocked, ring.weight(i));
-            sums.add(&view, &reading, [direction[0], direction[1], cosine], &away, shares);
+            sums.add(&view, &reading, [direction[0], direction[1], cosine], away, shares);
         }
     }
     let mut out = PointSums::zero(scale);

@@ -2,7 +2,7 @@
 //!
 //! In Lambert's equal-area chart around the lobe's axis, |X|² = 2(1 − ω·ξ), the light e^(λ(ω·ξ − 1)) is exactly the Gaussian
 //! e^(−λ|X|²/2), and n·ω is nearly linear in the part of X toward the normal. The mean of the BRDF is then taken by two nodes of
-//! the clipped Gaussian along that direction ([`ring::TwoNodes`]) and two at ±1/√λ across it, which is exact up to degree 3. It takes no search for
+//! the clipped Gaussian along that direction ([`ring::two_nodes`]) and two at ±1/√λ across it, which is exact up to degree 3. It takes no search for
 //! a peak and a third fewer nodes than the rule for all lobes (`accurate/placement.rs`), and its integral of light and cosine is
 //! that of the diffuse part (`accurate/diffuse.rs`).
 //!
@@ -21,8 +21,7 @@ pub(super) use ring::{Ring, broadness, pair_smoothness, smooth_light, smoothness
 
 use super::placement::{GGX, LocalLight, SG};
 use super::point::{PairAdjoint, PointTerms};
-use crate::real::Real;
-use crate::sg::Dual;
+use crate::{real::Real, sg::Dual};
 
 /// [`smooth_light`] and its adjoints.
 #[inline(always)]

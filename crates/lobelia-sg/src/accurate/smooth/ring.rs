@@ -4,9 +4,8 @@ use crate::accurate::narrow::{mirror, narrowness};
 use crate::accurate::placement::{GGX, LocalLight, SG, Tail, Vec2Of, dot2};
 use crate::accurate::point::{NdfTerms, PointTerms};
 use crate::accurate::specular::{Factors, PointTermsView, factors, fresnel};
-use crate::real::{Real, Vec3Of, add, dot, scale};
-use crate::sg::Dual;
-use crate::two::Two;
+use crate::real::{Real, Vec3Of, add, dot, polynomial, scale};
+use crate::{sg::Dual, two::Two};
 
 /// Least ratio of curvatures for an SG.
 const LEAST_SG: f64 = 4.0;
@@ -97,7 +96,7 @@ impl<F: Real> Ring<F> {
         // For an axis along the normal any direction is level.
         let (px, py) = (square.select_lt(z.lit(1.1e-12), one, x * over_sine), y * over_sine);
         let height = (z * light.sharpness * width * over_sine).min(z.lit(HIGHEST)).max(z.lit(LOWEST));
-        let clipped = TwoNodes::new(height);
+        let (offsets, weight) = two_nodes(height);
         Self {
             axis,
             toward: [-(px * z), -(py * z), sine],
@@ -105,8 +104,8 @@ impl<F: Real> Ring<F> {
             width,
             over_sine,
             height,
-            offsets: clipped.offsets,
-            weight: clipped.weight,
+            offsets,
+            weight,
         }
     }
 
@@ -140,42 +139,21 @@ const HIGHEST: f64 = 100.0;
 /// Where it is so far above that next to nothing is left.
 const LOWEST: f64 = -3.2;
 
-/// Gauss's rule of two nodes for the weight v·e^(−(v − t)²/2) on v > 0, whose maximum is at v − t = a, 1/a − a = t.
-///
-/// First node − a, second node − a and the first's weight are polynomials in τ = t/√(t² + 4), fitted from [`LOWEST`] on: errors 9e-3, 4e-3 and 3e-3.
-pub struct TwoNodes<F> {
-    /// v − t.
-    pub offsets: [F; 2],
-    /// Part of the mass at the first node.
-    pub weight: F,
-}
-
 const FIRST: [f64; 6] = [-0.22558696, -0.38990615, -0.2507373, -0.48047788, -0.052472423, 0.39004127];
 const SECOND: [f64; 6] = [1.1455448, 0.053427626, -0.18360849, -0.13100331, -0.21379183, 0.32586162];
 const WEIGHT: [f64; 6] = [0.65104744, -0.085341476, -0.032522302, -0.12418148, 0.0076033717, 0.08087648];
 
-impl<F: Real> TwoNodes<F> {
-    /// For t between [`LOWEST`] and [`HIGHEST`], beyond which a cancels.
-    #[inline(always)]
-    pub fn new(t: F) -> Self {
-        let square = t.mul_add(t, t.lit(4.0));
-        let over_root = square.quick_rsqrt();
-        let tau = t * over_root;
-        let a = square.mul_add(over_root, -t).times(0.5);
-        Self { offsets: [a + fit(tau, &FIRST), a + fit(tau, &SECOND)], weight: fit(tau, &WEIGHT) }
-    }
-}
-
-/// A polynomial, its constant first.
+/// Gauss's rule of two nodes for the weight v·e^(−(v − t)²/2) on v > 0, whose maximum is at v − t = a, 1/a − a = t: v − t of both nodes, and
+/// the part of the mass at the first. For t between [`LOWEST`] and [`HIGHEST`], beyond which a cancels.
+///
+/// First node − a, second node − a and the first's weight are polynomials in τ = t/√(t² + 4), fitted from [`LOWEST`] on: errors 9e-3, 4e-3 and 3e-3.
 #[inline(always)]
-fn fit<F: Real>(x: F, c: &[f64; 6]) -> F {
-    let mut p = x.lit(c[5]);
-    let mut i = 5;
-    while i > 0 {
-        i -= 1;
-        p = p.mul_plus(x, c[i]);
-    }
-    p
+pub fn two_nodes<F: Real>(t: F) -> ([F; 2], F) {
+    let square = t.mul_add(t, t.lit(4.0));
+    let over_root = square.quick_rsqrt();
+    let tau = t * over_root;
+    let a = square.mul_add(over_root, -t).times(0.5);
+    ([a + polynomial(tau, &FIRST), a + polynomial(tau, &SECOND)], polynomial(tau, &WEIGHT))
 }
 
 /// The BRDF in one direction, times the direction's weight, without the factors of the point and without F.
@@ -270,30 +248,22 @@ impl<F: Copy> Ring<Two<F>> {
     /// The first and the second.
     #[inline(always)]
     pub fn split(self) -> [Ring<F>; 2] {
-        let three = |[x, y, z]: Vec3Of<Two<F>>| ([x.0, y.0, z.0], [x.1, y.1, z.1]);
-        let two = |[x, y]: Vec2Of<Two<F>>| ([x.0, y.0], [x.1, y.1]);
-        let (axis, toward) = (three(self.axis), three(self.toward));
-        let (level, offsets) = (two(self.level), two(self.offsets));
-        let one = Ring {
-            axis: axis.0,
-            toward: toward.0,
-            level: level.0,
-            width: self.width.0,
-            over_sine: self.over_sine.0,
-            height: self.height.0,
-            offsets: offsets.0,
-            weight: self.weight.0,
-        };
-        let other = Ring {
-            axis: axis.1,
-            toward: toward.1,
-            level: level.1,
-            width: self.width.1,
-            over_sine: self.over_sine.1,
-            height: self.height.1,
-            offsets: offsets.1,
-            weight: self.weight.1,
-        };
-        [one, other]
+        [self.each(|two| two.0), self.each(|two| two.1)]
+    }
+
+    #[inline(always)]
+    fn each(&self, one: impl Fn(Two<F>) -> F) -> Ring<F> {
+        let three = |[x, y, z]: Vec3Of<Two<F>>| [one(x), one(y), one(z)];
+        let two = |[x, y]: Vec2Of<Two<F>>| [one(x), one(y)];
+        Ring {
+            axis: three(self.axis),
+            toward: three(self.toward),
+            level: two(self.level),
+            width: one(self.width),
+            over_sine: one(self.over_sine),
+            height: one(self.height),
+            offsets: two(self.offsets),
+            weight: one(self.weight),
+        }
     }
 }

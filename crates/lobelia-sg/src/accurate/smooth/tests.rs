@@ -1,16 +1,11 @@
 //! The rule for smooth lobes against exact moments, the cubature, and differences of it.
 
-use super::pair_smoothness;
-use super::ring::TwoNodes;
-use crate::accurate::adjoint::pull_back_pair;
-use crate::accurate::cubature::integrate;
-use crate::accurate::ggx::{GGX_TERMS, prepare_ggx_point};
-use crate::accurate::pair::evaluate_pair;
-use crate::accurate::point::{PointDerivatives, PointTerms, prepare_point, pull_back_point};
-use crate::accurate::tests::{spread, wide_case};
-use crate::brdf::Ndf;
+use super::{pair_smoothness, ring::two_nodes};
+use crate::accurate::ggx::{GGX_TERMS, GgxSgs};
+use crate::accurate::point::{Mixture, OneSg, prepare_with_ndf};
+use crate::accurate::tests::{cubature::integrate, moves, pair, spread, wide_case};
 use crate::cases::{Case, unit};
-use crate::real::{add, dot, scale, sub};
+use crate::real::{dot, scale, sub};
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
 /// The first three moments of v − t for the weight v·e^(−(v − t)²/2) on v > 0, by the trapezoidal rule.
@@ -31,7 +26,7 @@ fn moments(t: f64) -> [f64; 3] {
 #[test]
 fn two_nodes_have_the_moments_of_the_clipped_gaussian() {
     for t in [-3.0, -2.0, -1.0, -0.3, 0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 20.0, 90.0] {
-        let TwoNodes { offsets, weight } = TwoNodes::new(t);
+        let (offsets, weight) = two_nodes(t);
         let exact = moments(t);
         for (k, exact) in exact.iter().enumerate() {
             let power = k as i32 + 1;
@@ -44,30 +39,8 @@ fn two_nodes_have_the_moments_of_the_clipped_gaussian() {
     }
 }
 
-/// Terms of a point under SG or GGX, as the tests read them.
-trait Facet<const NDF: usize> {
-    const NDF_KIND: Ndf;
-    fn point(case: &Case) -> (PointTerms<f64, NDF>, PointDerivatives<f64, NDF>);
-}
-
-struct OneSg;
-impl Facet<1> for OneSg {
-    const NDF_KIND: Ndf = Ndf::Sg;
-    fn point(case: &Case) -> (PointTerms<f64, 1>, PointDerivatives<f64, 1>) {
-        prepare_point(case.normal, case.to_viewer, case.roughness)
-    }
-}
-
-struct Ggx;
-impl Facet<GGX_TERMS> for Ggx {
-    const NDF_KIND: Ndf = Ndf::Ggx;
-    fn point(case: &Case) -> (PointTerms<f64, GGX_TERMS>, PointDerivatives<f64, GGX_TERMS>) {
-        prepare_ggx_point(case.normal, case.to_viewer, case.roughness)
-    }
-}
-
 /// A smooth case that is not in grazing view; a third are near the horizon.
-fn smooth_case<D: Facet<NDF>, const NDF: usize>(rng: &mut SmallRng) -> Case {
+fn smooth_case<D: Mixture<NDF>, const NDF: usize>(rng: &mut SmallRng) -> Case {
     loop {
         let mut case = wide_case(rng);
         case.roughness = rng.random_range(0.2..1.0);
@@ -78,7 +51,7 @@ fn smooth_case<D: Facet<NDF>, const NDF: usize>(rng: &mut SmallRng) -> Case {
             let level = sub(case.axis, scale(case.normal, dot(case.axis, case.normal) - height));
             case.axis = unit(level);
         }
-        let (point, _) = D::point(&case);
+        let (point, _) = prepare_with_ndf::<f64, D, NDF>(case.normal, case.to_viewer, case.roughness);
         let grazing = dot(case.normal, case.to_viewer) < 0.05;
         if !grazing && pair_smoothness(&point, case.axis, case.sharpness) > 0.0 {
             return case;
@@ -86,16 +59,15 @@ fn smooth_case<D: Facet<NDF>, const NDF: usize>(rng: &mut SmallRng) -> Case {
     }
 }
 
-fn light_agrees<D: Facet<NDF>, const NDF: usize>(seed: u64, bounds: [f64; 2]) {
+fn light_agrees<D: Mixture<NDF>, const NDF: usize>(seed: u64, bounds: [f64; 2]) {
     let mut rng = SmallRng::seed_from_u64(seed);
     let mut errors = vec![];
     while errors.len() < 200 {
         let case = smooth_case::<D, NDF>(&mut rng);
-        let [_, constant, slope] = integrate(&case, D::NDF_KIND, 1e-6);
+        let [_, constant, slope] = integrate(&case, D::KIND, 1e-6);
         let exact = constant + case.specular[0] * slope;
         if case.amplitude[0] * exact > 3e-4 {
-            let (point, _) = D::point(&case);
-            let p = evaluate_pair::<f64, 3, 2, NDF>(&point, case.axis, case.sharpness);
+            let p = pair::<D, f64, NDF, 3, 2>(&case, |x| x);
             errors.push(((p.constant + case.specular[0] * p.slope) / exact - 1.0).abs());
         }
     }
@@ -106,55 +78,23 @@ fn light_agrees<D: Facet<NDF>, const NDF: usize>(seed: u64, bounds: [f64; 2]) {
 #[test]
 fn light_of_smooth_lobes_agrees_with_the_cubature() {
     light_agrees::<OneSg, 1>(41, [2e-4, 4e-3]);
-    light_agrees::<Ggx, GGX_TERMS>(42, [6e-4, 0.01]);
+    light_agrees::<GgxSgs, GGX_TERMS>(42, [6e-4, 0.01]);
 }
 
-/// A name, an adjoint, and the case moved by a number that the adjoint belongs to.
-type Move<'a> = (&'static str, f64, Box<dyn Fn(f64) -> Case + 'a>);
-
-fn moves<D: Facet<NDF>, const NDF: usize>(case: &Case, weights: [f64; 3]) -> Vec<Move<'_>> {
-    let (point, derivatives) = D::point(case);
-    let (_, back) = pull_back_pair::<f64, 3, 2, NDF>(&point, case.axis, case.sharpness, weights);
-    let (normal, roughness) = pull_back_point(&point, &derivatives, &back.point);
-    let [tangent, bitangent, up] = point.frame;
-    let mut moves: Vec<Move<'_>> = vec![
-        (
-            "sharpness",
-            back.sharpness * case.sharpness,
-            Box::new(|e| Case { sharpness: case.sharpness * (1.0 + e), ..*case }),
-        ),
-        (
-            "roughness",
-            roughness * case.roughness,
-            Box::new(|e| Case { roughness: case.roughness * (1.0 + e), ..*case }),
-        ),
-    ];
-    for way in [tangent, bitangent] {
-        let moved = move |e| Case { normal: unit(add(case.normal, scale(way, e))), ..*case };
-        moves.push(("normal", dot(normal, way), Box::new(moved)));
-    }
-    for way in [tangent, up] {
-        let across = unit(sub(way, scale(case.axis, dot(way, case.axis))));
-        let moved = move |e| Case { axis: unit(add(case.axis, scale(across, e))), ..*case };
-        moves.push(("axis", dot(back.axis, across), Box::new(moved)));
-    }
-    moves
-}
-
-fn adjoint_agrees<D: Facet<NDF>, const NDF: usize>(seed: u64, bounds: [f64; 2]) {
+fn adjoint_agrees<D: Mixture<NDF>, const NDF: usize>(seed: u64, bounds: [f64; 2]) {
     let mut rng = SmallRng::seed_from_u64(seed);
     let mut errors = std::collections::BTreeMap::<_, Vec<f64>>::new();
     for _ in 0..40 {
         let case = smooth_case::<D, NDF>(&mut rng);
         let value = |case: &Case| {
-            let [_, constant, slope] = integrate(case, D::NDF_KIND, 1e-9);
+            let [_, constant, slope] = integrate(case, D::KIND, 1e-9);
             0.8 * constant + 0.3 * slope
         };
         let size = value(&case);
         if case.amplitude[0] * size < 1e-3 {
             continue;
         }
-        for (name, adjoint, moved) in moves::<D, NDF>(&case, [0.0, 0.8, 0.3]) {
+        for (name, adjoint, moved) in moves::<D, NDF, 3, 2>(&case, [0.0, 0.8, 0.3], true) {
             let step = 1e-3 / (1.0 + case.sharpness).sqrt();
             let difference = (value(&moved(step)) - value(&moved(-step))) / (2.0 * step);
             errors.entry(name).or_default().push((difference - adjoint).abs() / (difference.abs() + size));
@@ -170,5 +110,5 @@ fn adjoint_agrees<D: Facet<NDF>, const NDF: usize>(seed: u64, bounds: [f64; 2]) 
 #[test]
 fn adjoint_of_smooth_lobes_agrees_with_the_exact_integral() {
     adjoint_agrees::<OneSg, 1>(43, [0.004, 0.02]);
-    adjoint_agrees::<Ggx, GGX_TERMS>(44, [0.006, 0.025]);
+    adjoint_agrees::<GgxSgs, GGX_TERMS>(44, [0.006, 0.025]);
 }

@@ -12,10 +12,9 @@
 //! | `seed` | `u64` | – | 0 | changes every random number |
 //! | `roulette_after` | `u32` | scattering events | 3 | Russian roulette applies to paths of at least this length |
 //! | `ray_offset` | `f32` | radii of the scene | 2e-5 | offset of the ray origin from the surface, along the geometric normal |
-//! | `strategy` | [`Strategy`] | – | `Combined` | sampling strategy; the others are for tests |
 
 use crate::shade::sampling::sobol::Sequence;
-use crate::shade::sampling::{SampleReal, Scattered, Scatterer, Strategy};
+use crate::shade::sampling::{Scattered, Scatterer, above_zero, power_heuristic};
 use glam::{DVec3, Vec3};
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_sg::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
@@ -55,13 +54,11 @@ pub struct PathSettings {
     pub roulette_after: u32,
     /// Offset of the ray origin from the surface, in radii of the scene.
     pub ray_offset: f32,
-    /// The sampling strategy.
-    pub strategy: Strategy,
 }
 
 impl Default for PathSettings {
     fn default() -> Self {
-        Self { max_bounces: 6, seed: 0, roulette_after: 3, ray_offset: 2e-5, strategy: Strategy::Combined }
+        Self { max_bounces: 6, seed: 0, roulette_after: 3, ray_offset: 2e-5 }
     }
 }
 
@@ -127,15 +124,6 @@ pub struct PathEstimate {
     /// Radiance of paths whose vertex next to the viewer scatters by the specular term; the pixel
     /// is the sum of the two.
     pub specular: Vec3,
-    /// Variance of `diffuse` (of the mean), as if samples were independent; they are stratified, so the true variance is
-    /// lower. Zero, meaning unknown, with one sample.
-    pub diffuse_variance: Vec3,
-    /// Variance of `specular`, as `diffuse_variance`.
-    pub specular_variance: Vec3,
-    /// Samples taken.
-    pub samples: u32,
-    /// Rays cast, of both kinds.
-    pub rays: u32,
     /// Samples that are not finite and count as zero; a number above 0 indicates an error.
     pub rejected: u32,
 }
@@ -149,21 +137,20 @@ pub fn shade_point(
     query: &PathQuery,
     samples: u32,
 ) -> PathEstimate {
-    let mut tally = Tally::default();
-    let mut estimate = PathEstimate { samples, ..Default::default() };
+    let (mut sums, mut rejected) = ([DVec3::ZERO; 2], 0);
     for sample in 0..samples {
         let sequence = Sequence::new(settings.seed, query.stream, query.first_sample.wrapping_add(sample));
-        let mut path = Path { scene, settings, sequence, found: Split::default(), rays: 0 };
+        let mut path = Path { scene, settings, sequence, found: Split::default() };
         path.walk(query);
-        estimate.rays = estimate.rays.saturating_add(path.rays);
-        if path.found.diffuse.is_finite() && path.found.specular.is_finite() {
-            tally.add(path.found);
+        let found = [path.found.diffuse, path.found.specular];
+        if found.iter().all(|part| part.is_finite()) {
+            sums.iter_mut().zip(found).for_each(|(sum, part)| *sum += part.as_dvec3());
         } else {
-            estimate.rejected += 1;
+            rejected += 1;
         }
     }
-    tally.finish(&mut estimate);
-    estimate
+    let [diffuse, specular] = sums.map(|sum| (sum / f64::from(samples.max(1))).as_vec3());
+    PathEstimate { diffuse, specular, rejected }
 }
 
 /// [`shade_point`] for every query, in parallel; `out` is as long as `queries` (excess entries of either are ignored).
@@ -212,35 +199,6 @@ impl Split {
     }
 }
 
-/// Sums over samples, in f64.
-#[derive(Default)]
-struct Tally {
-    sums: [DVec3; 2],
-    squares: [DVec3; 2],
-}
-
-impl Tally {
-    fn add(&mut self, value: Split) {
-        for (i, part) in [value.diffuse, value.specular].into_iter().enumerate() {
-            let part = part.as_dvec3();
-            self.sums[i] += part;
-            self.squares[i] += part * part;
-        }
-    }
-
-    fn finish(&self, estimate: &mut PathEstimate) {
-        let n = f64::from(estimate.samples.max(1));
-        let variance = |i: usize| {
-            let mean = self.sums[i] / n;
-            ((self.squares[i] / n - mean * mean).max(DVec3::ZERO) / (n - 1.0).max(1.0)).as_vec3()
-        };
-        estimate.diffuse = (self.sums[0] / n).as_vec3();
-        estimate.specular = (self.sums[1] / n).as_vec3();
-        estimate.diffuse_variance = variance(0);
-        estimate.specular_variance = variance(1);
-    }
-}
-
 /// Decisions at a vertex; each takes its own three random numbers.
 const DECISIONS: u32 = 4;
 const DRAW_LIGHT: u32 = 0;
@@ -254,7 +212,6 @@ struct Path<'a> {
     settings: &'a PathSettings,
     sequence: Sequence,
     found: Split,
-    rays: u32,
 }
 
 impl Path<'_> {
@@ -268,16 +225,15 @@ impl Path<'_> {
             let vertex = Vertex { point, carried, depth };
             let Some(scatterer) = self.scatterer(&point, to_viewer, depth) else { return };
             self.find_light(&vertex, &scatterer);
-            let Some((direction, onward)) = self.follow_brdf(&vertex, &scatterer) else { return };
-            let Some(hit) = onward.hit else { return };
-            let Some(survived) = self.roulette(depth, onward.carried) else { return };
+            let Some((direction, hit, onward)) = self.follow_brdf(&vertex, &scatterer) else { return };
+            let Some(survived) = self.roulette(depth, onward) else { return };
             to_viewer = -direction;
             point = PathPoint::from_hit(&hit, to_viewer, self.scene);
             carried = Some(survived);
         }
     }
 
-    fn scatterer(&self, point: &PathPoint, to_viewer: Vec3, depth: u32) -> Option<Scatterer<f32>> {
+    fn scatterer(&self, point: &PathPoint, to_viewer: Vec3, depth: u32) -> Option<Scatterer> {
         let picked = self.scene.specular.get(self.pick_material(point, depth)).and_then(Option::as_ref);
         let specular = picked.map(|lobe| (lobe.albedo.to_array(), lobe.facets()));
         Scatterer::new(point.normal.to_array(), to_viewer.to_array(), point.albedo.to_array(), specular)
@@ -302,44 +258,34 @@ impl Path<'_> {
     }
 
     /// Next event estimation: a direction sampled from the light, weighted by multiple importance sampling.
-    fn find_light(&mut self, vertex: &Vertex, scatterer: &Scatterer<f32>) {
-        let strategy = self.settings.strategy;
-        if strategy == Strategy::BrdfOnly {
-            return;
-        }
+    fn find_light(&mut self, vertex: &Vertex, scatterer: &Scatterer) {
         let drawn = self.scene.light.sample(self.uniforms(vertex.depth, DRAW_LIGHT));
-        if !drawn.pdf.above_zero() {
+        if !above_zero(drawn.pdf) {
             return;
         }
         let scattered = scatterer.evaluate(drawn.direction.to_array());
-        let weight = strategy.light_weight(drawn.pdf, scattered.pdf) / drawn.pdf;
+        let weight = power_heuristic(drawn.pdf, scattered.pdf) / drawn.pdf;
         let light = vertex.carry(&scattered).tinted(drawn.radiance).scaled(weight);
-        if !light.largest().above_zero() {
+        if !above_zero(light.largest()) {
             return;
         }
-        self.rays += 1;
         let ray = self.ray_from(&vertex.point, drawn.direction);
         if !self.scene.surface.occluded(&ray, 0.0, f32::INFINITY) {
             self.add(light);
         }
     }
 
-    /// A direction sampled from the BRDF: adds its light, and returns the next vertex if the path may continue.
-    fn follow_brdf(&mut self, vertex: &Vertex, scatterer: &Scatterer<f32>) -> Option<(Vec3, Onward)> {
-        let last = vertex.depth == self.settings.max_bounces;
-        if last && self.settings.strategy == Strategy::LightOnly {
-            return None;
-        }
+    /// Samples a direction from the BRDF and adds its light; if the path may continue: the direction, what it meets, and the throughput.
+    fn follow_brdf(&mut self, vertex: &Vertex, scatterer: &Scatterer) -> Option<(Vec3, Hit, Split)> {
         let direction = scatterer.sample(self.uniforms(vertex.depth, DRAW_BRDF))?;
         let scattered = scatterer.evaluate(direction);
-        if !scattered.pdf.above_zero() {
+        if !above_zero(scattered.pdf) {
             return None;
         }
         let carried = vertex.carry(&scattered).scaled(scattered.pdf.recip());
         let direction = Vec3::from(direction);
         let ray = self.ray_from(&vertex.point, direction);
-        self.rays += 1;
-        if last {
+        if vertex.depth == self.settings.max_bounces {
             // The path ends here: an occlusion test is enough.
             if !self.scene.surface.occluded(&ray, 0.0, f32::INFINITY) {
                 self.add_background(direction, scattered.pdf, carried);
@@ -350,14 +296,13 @@ impl Path<'_> {
         if hit.is_none() {
             self.add_background(direction, scattered.pdf, carried);
         }
-        Some((direction, Onward { hit, carried }))
+        Some((direction, hit?, carried))
     }
 
     /// Adds the light of a direction that is sampled from the BRDF.
     fn add_background(&mut self, direction: Vec3, pdf: f32, carried: Split) {
-        let strategy = self.settings.strategy;
         let (radiance, light_pdf) = self.scene.light.radiance_and_pdf(direction);
-        let weight = strategy.brdf_weight(light_pdf, pdf);
+        let weight = power_heuristic(pdf, light_pdf);
         if weight > 0.0 {
             self.add(carried.tinted(radiance).scaled(weight));
         }
@@ -401,19 +346,13 @@ struct Vertex {
 impl Vertex {
     /// The throughput to the viewer after scattering with BRDF times cosine `scattered`.
     #[inline]
-    fn carry(&self, scattered: &Scattered<f32>) -> Split {
+    fn carry(&self, scattered: &Scattered) -> Split {
         let (diffuse, specular) = (Vec3::from(scattered.diffuse), Vec3::from(scattered.specular));
         match self.carried {
             None => Split { diffuse, specular },
             Some(carried) => carried.tinted(diffuse + specular),
         }
     }
-}
-
-/// The next segment of the path.
-struct Onward {
-    hit: Option<Hit>,
-    carried: Split,
 }
 
 #[cfg(test)]

@@ -13,10 +13,10 @@ const WEIGHTS: [f64; 4] =
     [0.362_683_783_378_362, 0.313_706_645_877_887_3, 0.222_381_034_453_374_5, 0.101_228_536_290_376_26];
 
 /// Integrals for unit amplitude: SG × cosine, and the specular light's `constant` and `slope`.
-pub(super) type Integrals = [f64; 3];
+pub(crate) type Integrals = [f64; 3];
 
 /// The three integrands at ω.
-pub(super) fn integrand(case: &Case, ndf: Ndf, omega: [f64; 3]) -> Integrals {
+pub(crate) fn integrand(case: &Case, ndf: Ndf, omega: [f64; 3]) -> Integrals {
     let cosine = dot(case.normal, omega);
     if cosine <= 0.0 {
         return [0.0; 3];
@@ -160,7 +160,7 @@ fn peaks_of(case: &Case) -> [Peak; 2] {
 }
 
 /// The integrals of a case; the error of each patch is about `relative` times the whole.
-pub(super) fn integrate(case: &Case, ndf: Ndf, relative: f64) -> Integrals {
+pub(crate) fn integrate(case: &Case, ndf: Ndf, relative: f64) -> Integrals {
     let [tangent, bitangent] = plane_of(case.normal);
     let [light, mirror] = peaks_of(case);
     let mut peaks = vec![light, mirror];

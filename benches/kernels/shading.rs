@@ -1,18 +1,48 @@
-//! Radiance again, and its adjoint to points, lobes and specular material.
+//! Radiance of points under lobes, and its adjoint to points, lobes and specular material.
 
-use super::{CACHES, LOBES, POINTS, Turns, plain, workload};
+use super::{CACHES, LOBES, POINTS, Turns, plain};
 use criterion::{Criterion, Throughput};
+use lobelia_sg::accurate::Quality;
 use lobelia_sg::shading::{ClosedForm, RadianceColumns};
+use lobelia_sg::workload::Workload;
+
+const FORMS: [(ClosedForm, &str); 2] =
+    [(ClosedForm::Published, "published"), (ClosedForm::Accurate(Quality::Default), "accurate")];
+
+pub fn forward(c: &mut Criterion) {
+    let mut group = c.benchmark_group("shade forward");
+    group.throughput(Throughput::Elements((POINTS * LOBES) as u64));
+    for (cache, points) in CACHES {
+        let mut work = Workload::new(points, LOBES, 0.3);
+        let lobes = plain::lobes(&work.lobes);
+        let mut turns = Turns::new(points);
+        for (form, name) in FORMS {
+            group.bench_function(format!("{name} kernel, {cache}"), |b| {
+                b.iter(|| {
+                    let rows = turns.take(POINTS);
+                    let (points, out) = (&work.points[rows.clone()], &mut work.shaded[rows]);
+                    form.shade(points, &work.specular, &work.lobes, out);
+                });
+            });
+        }
+        group.bench_function(format!("published plain loop, {cache}"), |b| {
+            b.iter(|| {
+                let rows = turns.take(POINTS);
+                plain::shade(&work.points[rows.clone()], &work.specular, &lobes, &mut work.shaded[rows]);
+            });
+        });
+    }
+}
 
 pub fn adjoint(c: &mut Criterion) {
     let mut group = c.benchmark_group("shade adjoint");
     group.throughput(Throughput::Elements((POINTS * LOBES) as u64));
     for (cache, points) in CACHES {
-        let mut work = workload(points);
+        let mut work = Workload::new(points, LOBES, 0.3);
         work.shade(ClosedForm::Published);
         let lobes = plain::lobes(&work.lobes);
         let mut turns = Turns::new(points);
-        for (form, name) in [(ClosedForm::Published, "published"), (ClosedForm::default(), "accurate")] {
+        for (form, name) in FORMS {
             group.bench_function(format!("{name} kernel, {cache}"), |b| {
                 b.iter(|| {
                     let rows = turns.take(POINTS);
