@@ -191,7 +191,7 @@ impl Progress for JsonLog {
     fn moment(&self, at: Moment) {
         match at {
             Moment::Pass { name, number, count } => {
-                write_event(self.start, Event::Pass { name, number, count })
+                write_event(self.start, Event::Pass { name, number, count });
             }
             Moment::Step { step, steps, fit } if step % STEPS == 0 || step == steps => {
                 let (loss, psnr, lobes) = (fit.sums.mean(), fit.sums.psnr(), fit.lobes);
