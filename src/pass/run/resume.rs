@@ -1,8 +1,7 @@
 //! The checkpoints of a run as files, and the state of a session beside its world.
 //!
-//! The manifest says with what the run was begun. `OUT/.checkpoint` has `N.state` for the beginning of pass
-//! N, and `N-part.state` for the last part of it that was done. A file counts if it is whole and of this
-//! run. The states of the last two passes are kept, so that there is one if the last is damaged.
+//! The manifest says with what the run was begun. `OUT/.checkpoint` has `pass.state` for the beginning of the pass at work, unless
+//! that is the first, and `part.state` for the last part of it that was done. A file counts if it is whole and of this run.
 
 use crate::pass::run::progress::Progress;
 use crate::pass::run::session::{PassState, Session};
@@ -22,7 +21,7 @@ use lobelia_world::material::replace_materials;
 use lobelia_world::sample::point::Scenery;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::fs;
 use std::io::Write as _;
@@ -32,8 +31,9 @@ use std::time::Duration;
 
 /// The folder of checkpoints, in the output folder.
 const FOLDER: &str = ".checkpoint";
-/// The ending of checkpoints.
-const ENDING: &str = ".state";
+/// The checkpoint of the beginning of a pass, and that of a part of it.
+const PASS: &str = "pass.state";
+const PART: &str = "part.state";
 /// The name of the session's own state in a checkpoint.
 const SESSION: &str = "session";
 /// Time between two checkpoints where nothing is said.
@@ -162,59 +162,39 @@ fn other(problem: impl Into<String>, remedy: &str) -> Result<()> {
 struct Head {
     /// [`RunStart::mark`] of the run.
     run: u64,
-    /// Hash of the names and bytes of all parts.
+    /// The pass at work.
+    pass: u32,
+    /// Hash of the pass and of the names and bytes of all parts.
     hash: u64,
     parts: Vec<(String, usize)>,
 }
 
-fn hash_of_parts(saved: &Saved) -> u64 {
-    saved.0.iter().fold(NOTHING, |hash, (name, bytes)| hash_on(hash_on(hash, name.as_bytes()), bytes))
+fn hash_of_parts(pass: u32, saved: &Saved) -> u64 {
+    let start = hash_on(NOTHING, &pass.to_le_bytes());
+    saved.0.iter().fold(start, |hash, (name, bytes)| hash_on(hash_on(hash, name.as_bytes()), bytes))
 }
 
-fn path_of(folder: &Path, place: ResumePoint) -> PathBuf {
-    folder.join(match place {
-        ResumePoint::Pass(pass) => format!("{pass}{ENDING}"),
-        ResumePoint::Part(pass) => format!("{pass}-part{ENDING}"),
-    })
-}
-
-/// Writes a checkpoint: those that are not needed any more go when another one is written.
+/// Writes a checkpoint in place of the one before.
 fn write(folder: &Path, run: u64, place: ResumePoint, saved: &Saved) -> Result<()> {
-    let path = path_of(folder, place);
+    let (pass, path) = match place {
+        ResumePoint::Pass(pass) => (pass, folder.join(PASS)),
+        ResumePoint::Part(pass) => (pass, folder.join(PART)),
+    };
     let parts = saved.0.iter().map(|(name, bytes)| (name.clone(), bytes.len())).collect();
-    let head = serde_json::to_string(&Head { run, hash: hash_of_parts(saved), parts })
+    let head = serde_json::to_string(&Head { run, pass, hash: hash_of_parts(pass, saved), parts })
         .map_err(|error| Error::run("writing a checkpoint", error.to_string()))?;
     write_file(&path, |writer| {
         let mut parts = saved.0.iter();
         let written = writeln!(writer, "{head}")
             .and_then(|()| parts.try_for_each(|(_, bytes)| writer.write_all(bytes)));
         written.map_err(Error::io("write", &path))
-    })?;
-    let ResumePoint::Pass(now) = place else { return Ok(()) };
-    for (pass, is_part, path) in states(folder) {
-        if pass + 1 < now || is_part && pass < now {
-            // One that cannot be removed does no harm.
-            let _ = fs::remove_file(path);
-        }
-    }
-    Ok(())
+    })
 }
 
-/// The checkpoints in a folder: number of the pass, whether it is of a part, and path.
-fn states(folder: &Path) -> Vec<(u32, bool, PathBuf)> {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let state = |entry: fs::DirEntry| {
-        let name = entry.file_name().into_string().ok()?;
-        let stem = name.strip_suffix(ENDING)?;
-        let (number, is_part) = stem.strip_suffix("-part").map_or((stem, false), |number| (number, true));
-        Some((number.parse().ok()?, is_part, entry.path()))
-    };
-    entries.filter_map(state).collect()
-}
-
-fn read(path: &Path, run: u64) -> Result<Saved> {
+/// The pass that a checkpoint is of, and its state.
+fn read(path: &Path, run: u64) -> Result<(u32, Saved)> {
     let bytes = read_bytes(path, |_| START_AGAIN.to_owned())?;
-    let saved = || -> Option<Saved> {
+    let saved = || {
         let end = bytes.iter().position(|byte| *byte == b'\n')?;
         let head: Head = serde_json::from_slice(&bytes[..end]).ok()?;
         let mut rest = &bytes[end + 1..];
@@ -224,39 +204,28 @@ fn read(path: &Path, run: u64) -> Result<Saved> {
             saved.0.push((name, part.to_vec()));
             rest = after;
         }
-        (head.run == run && rest.is_empty() && head.hash == hash_of_parts(&saved)).then_some(saved)
+        let is_whole = head.run == run && rest.is_empty() && head.hash == hash_of_parts(head.pass, &saved);
+        is_whole.then_some((head.pass, saved))
     };
     saved().ok_or_else(|| Error::input(path, "", "the checkpoint is damaged", START_AGAIN))
 }
 
 /// The last place at which the run in a folder can be taken up, its very beginning if it has kept nothing
 /// yet: the passes that are done, the state at the beginning of the next, unless that is the first, and the
-/// state at the beginning of a part of it.
+/// state at the beginning of a part of it. A note tells of a part that cannot be used.
 ///
 /// # Errors
-/// [`Error::Input`] if none of several checkpoints can be used; a note tells of those that cannot.
+/// [`Error::Input`] if the beginning of the pass cannot be used.
 fn find(folder: &Path, run: u64, progress: &dyn Progress) -> Result<(u32, Option<Saved>, Option<Saved>)> {
-    let passes: BTreeSet<u32> = states(folder).into_iter().map(|(pass, ..)| pass).collect();
-    let mut first = None;
-    let mut read = |place: ResumePoint| {
-        let path = path_of(folder, place);
-        let tell = |error| {
-            progress.note(&format!("{error}; the one before is taken"));
-            first.get_or_insert(error);
-        };
-        if is_there(&path) { read(&path, run).map_err(tell).ok() } else { None }
-    };
-    for pass in passes.into_iter().rev() {
-        let part = read(ResumePoint::Part(pass));
-        // The beginning of the first pass needs no state.
-        if pass == 0 {
-            return Ok((0, None, part));
-        }
-        if let Some(state) = read(ResumePoint::Pass(pass)) {
-            return Ok((pass, Some(state), part));
-        }
-    }
-    first.map_or(Ok((0, None, None)), Err)
+    let [pass, part] = [PASS, PART].map(|file| Some(folder.join(file)).filter(|file| is_there(file)));
+    let (done, state) = pass.map(|path| read(&path, run)).transpose()?.unzip();
+    let done = done.unwrap_or(0);
+    let part = part.and_then(|path| {
+        let tell = |error| progress.note(&format!("{error}; the pass begins again"));
+        read(&path, run).map_err(tell).ok()
+    });
+    // A part of an earlier pass is of no use any more.
+    Ok((done, state, part.filter(|(pass, _)| *pass == done).map(|(_, part)| part)))
 }
 
 /// Whether the run in a folder has come so far as to keep checkpoints.
@@ -298,9 +267,8 @@ pub(super) fn take_up(
 pub(super) fn clear(out: &Path) -> Result<()> {
     let folder = out.join(FOLDER);
     check_folder(out)?;
-    let states = states(&folder).into_iter().map(|(.., path)| path);
-    for path in states {
-        fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+    for path in [PASS, PART].map(|file| folder.join(file)).iter().filter(|path| is_there(path)) {
+        fs::remove_file(path).map_err(Error::io("remove", path))?;
     }
     clear_scratch(&folder)?;
     // It stays if it has something else.
@@ -409,40 +377,27 @@ mod tests {
         out
     }
 
-    fn names(out: &tempfile::TempDir) -> Vec<String> {
-        let name =
-            |(.., path): (u32, bool, PathBuf)| path.file_name().unwrap().to_string_lossy().into_owned();
-        let mut names: Vec<String> = states(&folder(out)).into_iter().map(name).collect();
-        names.sort();
-        names
-    }
-
     /// The pass that a run goes on with, and the states of its beginning and of a part of it.
     fn found(out: &tempfile::TempDir) -> (u32, Option<Saved>, Option<Saved>) {
         find(&folder(out), RUN, &Silent).unwrap()
     }
 
     #[test]
-    fn the_last_two_passes_and_the_last_part_are_kept() {
+    fn the_last_pass_and_the_last_part_of_it_are_kept() {
         let out = killed();
-        assert_eq!(names(&out), ["1.state", "2-part.state", "2.state"]);
         assert_eq!(found(&out), (2, Some(saved("2")), Some(saved("2-part"))));
         write(&folder(&out), RUN, ResumePoint::Pass(3), &saved("3")).unwrap();
-        assert_eq!(names(&out), ["2.state", "3.state"]);
         assert_eq!(found(&out), (3, Some(saved("3")), None));
         let out = tempfile::tempdir().unwrap();
         assert_eq!(found(&out), (0, None, None));
         write(&folder(&out), RUN, ResumePoint::Part(0), &saved("0-part")).unwrap();
         assert_eq!(found(&out), (0, None, Some(saved("0-part"))));
-        std::fs::write(folder(&out).join("0-part.state"), "x").unwrap();
-        assert_eq!(found(&out), (0, None, None));
     }
 
     #[test]
-    fn instead_of_a_damaged_checkpoint_the_one_before_is_taken() {
+    fn a_damaged_part_is_left_out_and_a_damaged_beginning_refused() {
         let out = killed();
-        let file = |name: &str| folder(&out).join(name);
-        let part = file("2-part.state");
+        let [pass, part] = [PASS, PART].map(|name| folder(&out).join(name));
         let whole = std::fs::read(&part).unwrap();
         for at in 0..whole.len() {
             let mut bytes = whole.clone();
@@ -453,22 +408,15 @@ mod tests {
             }
         }
         std::fs::write(&part, &whole).unwrap();
-        // A part is worth nothing without the beginning of its pass.
-        std::fs::write(file("2.state"), b"x").unwrap();
-        assert_eq!(found(&out), (1, Some(saved("1")), None));
-        std::fs::remove_file(file("1.state")).unwrap();
-        let error = find(&folder(&out), RUN, &Silent).err().unwrap();
-        assert!(error.exit_code() == 2 && error.help().is_some(), "{error}");
-    }
-
-    #[test]
-    fn checkpoints_of_another_run_are_none() {
-        let out = killed();
-        let error = find(&folder(&out), RUN + 1, &Silent).err().unwrap();
-        assert!(error.to_string().contains("damaged"), "{error}");
-        std::fs::write(folder(&out).join("3-x.state"), "").unwrap();
-        std::fs::write(folder(&out).join("9-9.state"), "").unwrap();
-        assert_eq!(found(&out).0, 2);
+        for run in [RUN, RUN + 1] {
+            if run == RUN {
+                std::fs::write(&pass, b"x").unwrap();
+            } else {
+                write(&folder(&out), RUN, ResumePoint::Pass(2), &saved("2")).unwrap();
+            }
+            let error = find(&folder(&out), run, &Silent).err().unwrap();
+            assert!(error.exit_code() == 2 && error.to_string().contains("damaged"), "{error}");
+        }
     }
 
     #[test]
