@@ -6,7 +6,7 @@
 
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::run::session::Session;
-use crate::pass::truth_files::{ViewFiles, read_covered};
+use crate::pass::truth_files::read_covered;
 use crate::pass::view_report::{self, ScoredOutcome, outlier_share};
 use crate::report::metrics::{ImagePair, NormalAngles, albedo_psnr, coverage_iou, erode, mean};
 use crate::report::scores::{EvalView, PassScores, Scaling, ViewScores, score_views};
@@ -75,7 +75,7 @@ pub(crate) fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
         session.scores.chamfer = chamfer_distance(found, &truth, session.scene.seed);
     }
     if !rows.is_empty() {
-        let path = session.folder(&pass.name).join("contact_sheet.png");
+        let path = session.out.join(&pass.name).join("contact_sheet.png");
         let title = session.out.file_name().unwrap_or_default().to_string_lossy();
         write_sheet(&path, &title, "prediction, truth, error", &rows)?;
         session.progress.print(&format!("{}: {}", pass.name, path.display()));
@@ -97,10 +97,7 @@ fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -
     let views = views_of(session, &score.pass)?;
     let truths = match (&score.truth, score.truth.files()) {
         (Truth::SelfMade { spp }, _) => TrueImages::Made(self_made(session, &score.pass, &views, *spp)?),
-        (_, Some(files)) => {
-            let files = ViewFiles::of(files);
-            TrueImages::Files(views.iter().map(|view| files.image(&view.name)).collect())
-        }
+        (_, Some(files)) => TrueImages::Files(views.iter().map(|view| files.image(&view.name)).collect()),
         (_, None) => TrueImages::Photographs,
     };
     let scored = ScoredPass { name: score.pass.clone(), views, truths };
@@ -110,7 +107,7 @@ fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -
         overlaps[k] = view.mask_iou;
         Ok(view.eval)
     })?;
-    let folder = session.folder(&pass.name);
+    let folder = session.out.join(&pass.name);
     let (row, outliers) = show_views(session, &scored, &scores, layers, &folder.join(&score.pass), side)?;
     if i == 0 {
         let each = scored.views.iter().zip(&scores.views).zip(outliers);
@@ -134,7 +131,7 @@ impl ScoredPass {
         check_interrupted()?;
         let _reading = info_span!("views read").entered();
         let view = &self.views[i];
-        let path = session.folder(&self.name).join(format!("{}.exr", view.stem));
+        let path = session.out.join(&self.name).join(format!("{}.exr", view.stem));
         let frame = read_frame_layers(path, layers)?;
         let place = || format!("{}, view {}", self.name, view.stem);
         let world = &session.pipeline.world;
@@ -250,7 +247,7 @@ fn layer_pixels(
     let ChosenView { stem, name, camera, .. } = &scored.views[i];
     let is_normal = layer == Layer::Normal;
     let truth: Vec<Vec3> = match truth.files() {
-        Some(files) => ViewFiles::of(files).read_layer(layer, [stem, name], camera)?,
+        Some(files) => files.read_layer(layer, [stem, name], camera)?,
         None => {
             let seed = session.scene.seed.wrapping_add(i as u64);
             let object = session.truth.as_mut().ok_or_else(no_true_object)?;

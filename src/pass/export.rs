@@ -30,7 +30,6 @@ use lobelia_world::material::{
 };
 use rayon::prelude::*;
 use std::f32::consts::TAU;
-use std::path::Path;
 use std::sync::Arc;
 
 /// Texture files of a USD file.
@@ -42,30 +41,31 @@ const ROUGHNESS: &str = "mesh_roughness.png";
 pub(crate) fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
     let material = material_of(session, pass.of.as_deref())?;
     let mut object = Object::new(session.surface.clone(), material);
-    if let Some(target) = pass.triangles.filter(|&n| (n as usize) < object.mesh().triangles.len()) {
+    if let Some(target) = pass.triangles.filter(|&n| (n as usize) < object.surface.mesh().triangles.len()) {
         object = object.coarser(target as usize)?;
     }
-    let (mesh, turn, up) = transformed(session.scene.up, pass, object.mesh());
-    let folder = session.folder(&pass.name);
-    let has_light = write_light(session, pass, turn, &folder)?;
+    let (mesh, turn, up) = transformed(session.scene.up, pass, object.surface.mesh());
+    let folder = session.out.join(&pass.name);
+    let light = environment(session, pass, turn);
+    for (map, (name, convention)) in light.iter().flat_map(|map| MAPS.map(|file| (map, file))) {
+        write_map_hdr(&convention.from_lobelia(map.clone()), &folder.join(name))?;
+    }
     for format in &pass.formats {
         let path = folder.join(file_of(*format));
         match format {
             MeshFormat::Glb => write_glb(&path, &mesh, Some(&gltf(&object)?)),
             MeshFormat::Usda => {
                 // The map of the light is in the convention of three.js.
-                let light = UsdLight { file: LIGHT, turn_degrees: LIGHT_TURN };
-                write_usda(&path, &mesh, &usd(&object)?, up, has_light.then_some(light))
+                let beside = UsdLight { file: LIGHT, turn_degrees: LIGHT_TURN };
+                write_usda(&path, &mesh, &usd(&object)?, up, light.as_ref().map(|_| beside))
             }
             MeshFormat::Usdz => write_usdz(&path, &mesh, &usd(&object)?, up),
         }?;
         session.progress.print(&format!("{}: {}", pass.name, path.display()));
     }
     if pass.formats.contains(&MeshFormat::Glb) {
-        write_bytes(
-            &folder.join(MODEL_PAGE),
-            page(file_of(MeshFormat::Glb), has_light.then_some(LIGHT)).as_bytes(),
-        )?;
+        let page = page(file_of(MeshFormat::Glb), light.map(|_| LIGHT));
+        write_bytes(&folder.join(MODEL_PAGE), page.as_bytes())?;
     }
     Ok(())
 }
@@ -89,24 +89,37 @@ pub fn files(pass: &ExportPass) -> Vec<String> {
         };
         [&[file_of(*format)], beside].concat()
     };
-    pass.formats.iter().flat_map(of_format).chain(LIGHT_FILES).map(str::to_owned).collect()
+    pass.formats.iter().flat_map(of_format).chain(MAPS.map(|(name, _)| name)).map(str::to_owned).collect()
 }
 
 fn gltf(object: &Object) -> Result<GltfMaterial> {
-    let look = object.look(None);
-    let normal_image = object.normal_png()?;
-    let base_color_image = Some(object.color_png(&look.base)?);
-    if let ([dielectric], [roughness]) = (&look.dielectrics[..], &look.roughness[..]) {
+    let TexelMaterial { base, dielectrics, roughness } = object.look(None);
+    // The normal map of an object with fewer triangles.
+    let normal = |normal: &Vec3| (0.5 * *normal + 0.5).to_array().map(byte);
+    let normals = object.relative_normals.as_ref();
+    let normal_image = normals.map(|normals| object.png(normals.iter().map(normal))).transpose()?;
+    let base_color_image = Some(object.color_png(&base)?);
+    if let ([dielectric], [roughness]) = (&dielectrics[..], &roughness[..]) {
         let material = GltfMaterial::of_dielectric(dielectric, *roughness);
         return Ok(GltfMaterial { base_color_image, normal_image, ..material });
     }
-    let (factors, images) = look.factors();
+    // The factors of the reflectance texture, whose values are at most one: colors as sRGB, and linear numbers as alpha.
+    let ratio = |d: &Dielectric| if d.f90 > 0.0 { d.f0 / d.f90 } else { Vec3::ZERO };
+    let strongest = dielectrics.iter().map(ratio).fold(Vec3::ZERO, Vec3::max);
+    let f90 = dielectrics.iter().map(|d| d.f90).fold(0.0, f32::max);
+    let fraction = |x: Vec3| Vec3::select(strongest.cmpgt(Vec3::ZERO), x / strongest, Vec3::ONE);
+    let reflectance = dielectrics.iter().map(|d| {
+        let [r, g, b] = fraction(ratio(d)).to_array().map(|x| byte(srgb_from_linear(x)));
+        [r, g, b, byte(if f90 > 0.0 { d.f90 / f90 } else { 1.0 })]
+    });
+    let factors = Dielectric { f0: strongest * f90, f90, diffuse_share: 1.0 };
     Ok(GltfMaterial {
         base_color_image,
         normal_image,
         roughness: 1.0,
-        roughness_image: Some(object.roughness_png(&look.roughness)?),
-        specular_image: Some(object.reflectance_png(&images)?),
+        // Roughness in green, linear; metallic in blue, 0.
+        roughness_image: Some(object.png(roughness.iter().map(|r| [0, byte(*r), 0]))?),
+        specular_image: Some(object.png(reflectance)?),
         ..GltfMaterial::of_dielectric(&factors, 1.0)
     })
 }
@@ -124,7 +137,10 @@ fn usd(object: &Object) -> Result<UsdMaterial> {
     Ok(UsdMaterial {
         diffuse,
         specular: UsdInput::Texture(image(REFLECTANCE, object.color_png(&f0)?)),
-        roughness: UsdInput::Texture(image(ROUGHNESS, object.gray_png(&look.roughness)?)),
+        roughness: UsdInput::Texture(image(
+            ROUGHNESS,
+            object.png(look.roughness.iter().map(|r| [byte(*r)]))?,
+        )),
     })
 }
 
@@ -213,21 +229,10 @@ const LIGHT_TURN: f32 = 90.0;
 /// The files of the light, with the conventions that they are in.
 const MAPS: [(&str, MapConvention); 2] =
     [(LIGHT, MapConvention::ThreeJs), ("light_blender.hdr", MapConvention::BlenderYUp)];
-/// The files of the light.
-const LIGHT_FILES: [&str; MAPS.len()] = [MAPS[0].0, MAPS[1].0];
 /// Width and height of the maps in texels.
 const LIGHT_SIZE: [u32; 2] = [1024, 512];
 
-/// Writes the light that the pass shows, turned as the object; false if there is none yet.
-fn write_light(session: &mut Session, pass: &ExportPass, turn: Quat, folder: &Path) -> Result<bool> {
-    let Some(map) = environment(session, pass, turn) else { return Ok(false) };
-    for (name, convention) in MAPS {
-        write_map_hdr(&convention.from_lobelia(map.clone()), &folder.join(name))?;
-    }
-    Ok(true)
-}
-
-/// The light as a map: the given one, or the lobes' radiance.
+/// The light that the pass shows, turned as the object, as a map: the given one, or the lobes' radiance; `None` if there is none yet.
 fn environment(session: &mut Session, pass: &ExportPass, turn: Quat) -> Option<EnvironmentMap> {
     let of_pass = session.pass_lights.get(pass.of.as_deref().unwrap_or_default());
     if let Some(light) = of_pass {
@@ -236,20 +241,16 @@ fn environment(session: &mut Session, pass: &ExportPass, turn: Quat) -> Option<E
             None => map_of_lobes(&light.lobes, turn),
         });
     }
+    let mut earlier = session.scene.passes.iter().take_while(|other| other.name() != pass.name);
+    let is_found = !matches!(session.scene.light, Light::Unknown(_))
+        || earlier.any(|other| matches!(other, Pass::Fit(_) | Pass::Shape(_)));
     let fixed = matches!(session.scene.light, Light::Fixed(_));
     let given = session.own_light.as_ref().filter(|_| fixed).and_then(|light| light.map.clone());
     let turn = turn * own_turn(session);
     match given {
         Some(map) => Some(turned_map(map.map(), turn)),
-        None => is_found(session, pass).then(|| map_of_lobes(&own_lobes(&mut session.pipeline.world), turn)),
+        None => is_found.then(|| map_of_lobes(&own_lobes(&mut session.pipeline.world), turn)),
     }
-}
-
-/// True if the scene's own light is known when the pass runs.
-fn is_found(session: &Session, pass: &ExportPass) -> bool {
-    let earlier = session.scene.passes.iter().take_while(|other| other.name() != pass.name);
-    let mut fits = earlier.filter(|other| matches!(other, Pass::Fit(_) | Pass::Shape(_)));
-    !matches!(session.scene.light, Light::Unknown(_)) || fits.next().is_some()
 }
 
 /// The rotation of the own light into the world. One that goes with the camera stands as the first view has it.
@@ -305,24 +306,11 @@ struct Object {
 
 /// The material of texels in other programs.
 struct TexelMaterial {
-    pub base: Vec<Vec3>,
+    base: Vec<Vec3>,
     /// Specular part: one for all, or one of each texel.
-    pub dielectrics: Vec<Dielectric>,
+    dielectrics: Vec<Dielectric>,
     /// Roughness, as many.
-    pub roughness: Vec<f32>,
-}
-
-impl TexelMaterial {
-    /// The factors of the reflectance textures, and the textures, whose values are at most one.
-    fn factors(&self) -> (Dielectric, Vec<(Vec3, f32)>) {
-        let ratio = |d: &Dielectric| if d.f90 > 0.0 { d.f0 / d.f90 } else { Vec3::ZERO };
-        let strongest = self.dielectrics.iter().map(ratio).fold(Vec3::ZERO, Vec3::max);
-        let f90 = self.dielectrics.iter().map(|d| d.f90).fold(0.0, f32::max);
-        let fraction = |x: Vec3| Vec3::select(strongest.cmpgt(Vec3::ZERO), x / strongest, Vec3::ONE);
-        let part = |d: &Dielectric| (fraction(ratio(d)), if f90 > 0.0 { d.f90 / f90 } else { 1.0 });
-        let factors = Dielectric { f0: strongest * f90, f90, diffuse_share: 1.0 };
-        (factors, self.dielectrics.iter().map(part).collect())
-    }
+    roughness: Vec<f32>,
 }
 
 impl Object {
@@ -334,11 +322,6 @@ impl Object {
         let is_uniform = material.uniform().is_some();
         let blends = (!is_uniform).then_some(material.blends);
         Self { surface, albedo, lobes, blends, relative_normals: None }
-    }
-
-    /// Its mesh, in the coordinates of the data.
-    fn mesh(&self) -> &Mesh {
-        self.surface.mesh()
     }
 
     /// The object with about `target` triangles; normals, albedo and weights are those of the nearest points of the full surface.
@@ -411,30 +394,6 @@ impl Object {
     /// A texture of linear colors as an sRGB PNG.
     fn color_png(&self, colors: &[Vec3]) -> Result<Vec<u8>> {
         self.png(colors.iter().map(|color| srgb8(*color)))
-    }
-
-    /// The roughness texture of glTF: roughness in green, linear; metallic in blue, 0.
-    fn roughness_png(&self, roughness: &[f32]) -> Result<Vec<u8>> {
-        self.png(roughness.iter().map(|r| [0, byte(*r), 0]))
-    }
-
-    /// The normal map of an object with fewer triangles.
-    fn normal_png(&self) -> Result<Option<Vec<u8>>> {
-        let code = |normal: &Vec3| (0.5 * *normal + 0.5).to_array().map(byte);
-        self.relative_normals.as_ref().map(|normals| self.png(normals.iter().map(code))).transpose()
-    }
-
-    /// A texture of numbers in [0, 1], linear.
-    fn gray_png(&self, values: &[f32]) -> Result<Vec<u8>> {
-        self.png(values.iter().map(|value| [byte(*value)]))
-    }
-
-    /// Colors as sRGB, with linear numbers as alpha.
-    fn reflectance_png(&self, texels: &[(Vec3, f32)]) -> Result<Vec<u8>> {
-        self.png(texels.iter().map(|(color, alpha)| {
-            let [r, g, b] = color.to_array().map(|x| byte(srgb_from_linear(x)));
-            [r, g, b, byte(*alpha)]
-        }))
     }
 
     /// A texture of gray, RGB or RGBA texels.
@@ -591,10 +550,10 @@ mod tests {
             lobes: vec![Some(SpecularLobe { ndf: Ndf::Sg, ..SpecularLobe::new(Vec3::splat(0.04), 0.4) })],
         };
         let full = Object::new(surface, material);
-        assert!(full.normal_png().unwrap().is_none());
+        assert!(full.relative_normals.is_none());
         let coarse = full.coarser(120).unwrap();
         let atlas = coarse.surface.atlas();
-        let frames = texel_frames(coarse.mesh(), &vertex_tangents(coarse.mesh()), atlas);
+        let frames = texel_frames(coarse.surface.mesh(), &vertex_tangents(coarse.surface.mesh()), atlas);
         let (mut with, mut without, mut count) = (0.0, 0.0, 0.0);
         for row in (0..atlas.covered.len()).filter(|row| atlas.covered[*row]) {
             let truth = bent(atlas.position[row].normalize());

@@ -39,7 +39,7 @@ const FRAMES: &str = "orbit_frames";
 pub(crate) fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
     show(session, pass, settings)?;
     let name = pass.name();
-    let folder = session.folder(name);
+    let folder = session.out.join(name);
     let views = chosen_views(&mut session.pipeline.world, settings);
     let film = match &settings.orbit {
         Some(orbit) => Some((orbit, cameras(session, orbit)?)),
@@ -80,7 +80,7 @@ fn render_film(
     (orbit, cameras): (&Orbit, &[Camera]),
     bar: &dyn Bar,
 ) -> Result<Vec<PathBuf>> {
-    let folder = session.folder(pass.name()).join(FRAMES);
+    let folder = session.out.join(pass.name()).join(FRAMES);
     let files: Vec<PathBuf> =
         (0..cameras.len()).map(|frame| folder.join(format!("{frame:06}.png"))).collect();
     let failed = |what: &str| Error::run("making a film", what);

@@ -33,7 +33,7 @@ pub(crate) const RGB: [&str; 3] = ["R", "G", "B"];
 /// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object with the recovered material and light, or those of the pass `of`,
 /// all fixed, with the scene's views (without the optimized poses of training views).
 pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
-    let folder = session.folder(&pass.name);
+    let folder = session.out.join(&pass.name);
     let material = material_of(session, pass.of.as_deref())?;
     let surface = session.surface.clone();
     let atlas = surface.atlas();

@@ -18,7 +18,7 @@ use lobelia_sg::accurate::Quality;
 use lobelia_sg::ray::{Hit, Intersect};
 use lobelia_solve::fit::exposure::{ExposureChoice, Exposures};
 use lobelia_solve::fit::guard::{check_numbers, check_parameters};
-use lobelia_solve::fit::run::{Done, FitOptions, Initialize};
+use lobelia_solve::fit::run::{FitOptions, Initialize};
 use lobelia_solve::fit::scale::{ScaleRule, start_scale};
 use lobelia_solve::fit::{
     components::Unknowns, groups::forget_visibility, observe::PixelChoice, roughness::TexelPlaces,
@@ -117,7 +117,7 @@ fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
     // How many levels there are is known once the hull is.
     let bar = session.progress.bar(&pass.name, 0);
     bar.set_message("hull".into());
-    let folder = session.folder(&pass.name).join("debug");
+    let folder = session.out.join(&pass.name).join("debug");
     let world = &mut session.pipeline.world;
     let camera = world.query::<&Camera>().iter(world).next().copied();
     let steps = |levels: &[GridLevel]| -> u32 { levels.iter().map(|level| level.steps).sum() };
@@ -169,13 +169,9 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
         fit: FitOptions {
             loss: pass.loss,
             form: closed_form(pass.shading, Quality::Default),
-            steps: 1,
-            done: Done::default(),
             batch: pass.batch as usize,
-            early: 1.0,
             rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
             milestones: vec![0.6, 0.85],
-            decay: 0.4,
             // While the surface moves, its normals would take part in a sheen.
             unknowns: Unknowns { sheen: false, ..session.unknowns() },
             pixels: PixelChoice {
@@ -183,16 +179,12 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
                 max_pixels: pass.max_pixels as usize,
                 evenly: false,
             },
-            keeps_pool: false,
             initialize: session.kept.initialize,
-            // Visibility of a moving surface would have to be traced at every step.
-            visibility: false,
-            looks_for_sheen: false,
             exposure: pass.exposure,
-            measures: false,
-            // Without shadows, dark regions would bias the color of the highlights.
+            // Without shadows, which would have to be traced at every step, dark regions would bias the color of the highlights.
             scale: ScaleRule::Free,
             light_frame: session.light_frame(),
+            ..FitOptions::default()
         },
         cameras: pass.cameras,
         // Colors of different exposures tell nothing of depth.

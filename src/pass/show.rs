@@ -2,9 +2,7 @@
 //! swaps them; the recovered material and the scene's own light do not change.
 
 use crate::pass::run::session::Session;
-use crate::scene::{
-    ColorAction, DiffuseAction, Edit, Light, Pass, Region, RenderSettings, ScalarAction, Shading,
-};
+use crate::scene::{ColorAction, Edit, Light, Pass, Region, RenderSettings, ScalarAction, Shading};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use lobelia_geometry::error::Result;
@@ -124,27 +122,20 @@ pub fn apply_edits(state: &mut MaterialState, edits: &[Edit], surface: &Surface)
 fn resolved(edits: &[Edit], surface: &Surface) -> Result<Vec<ResolvedEdit>> {
     let atlas = surface.atlas();
     let blend = |value: Vec3, weight: f32| EditAction::Blend { value, weight };
+    let color = |action: &ColorAction| -> Result<EditAction> {
+        Ok(match action {
+            ColorAction::Set(color) => EditAction::Set(*color),
+            ColorAction::Scale(factor) => EditAction::Scale(*factor),
+            ColorAction::Blend { color, weight } => blend(*color, *weight),
+            ColorAction::Texture(path) => {
+                EditAction::PerTexel(read_texture(path, atlas.width, atlas.height)?.into())
+            }
+        })
+    };
     let resolve = |edit: &Edit| {
         let (target, action) = match edit {
-            Edit::Diffuse { action, .. } => {
-                let action = match action {
-                    DiffuseAction::Set(color) => EditAction::Set(*color),
-                    DiffuseAction::Scale(factor) => EditAction::Scale(*factor),
-                    DiffuseAction::Blend { color, weight } => blend(*color, *weight),
-                    DiffuseAction::Texture(path) => {
-                        EditAction::PerTexel(read_texture(path, atlas.width, atlas.height)?.into())
-                    }
-                };
-                (EditTarget::Diffuse, action)
-            }
-            Edit::Specular { action, .. } => {
-                let action = match action {
-                    ColorAction::Set(color) => EditAction::Set(*color),
-                    ColorAction::Scale(factor) => EditAction::Scale(*factor),
-                    ColorAction::Blend { color, weight } => blend(*color, *weight),
-                };
-                (EditTarget::Specular, action)
-            }
+            Edit::Diffuse { action, .. } => (EditTarget::Diffuse, color(action)?),
+            Edit::Specular { action, .. } => (EditTarget::Specular, color(action)?),
             Edit::Roughness { action, .. } => {
                 let action = match action {
                     ScalarAction::Set(value) => EditAction::Set(Vec3::splat(*value)),

@@ -1,6 +1,6 @@
 //! Files of ground truth: what they are called, and reading them for a view.
 
-use crate::scene::VIEW;
+use crate::scene::{TruthFiles, VIEW};
 use glam::Vec3;
 use lobelia_geometry::error::{Error, Result};
 use lobelia_geometry::view::{Image, camera::Camera};
@@ -13,20 +13,7 @@ use std::path::{Path, PathBuf};
 /// may be negative.
 const KNOWN_LENGTHS: RangeInclusive<f32> = 0.9..=1.1;
 
-/// Where the ground truth of each view is: in a folder, by a path from there with [`VIEW`] for its name, or as files of a folder are usually called.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ViewFiles<'a> {
-    folder: &'a Path,
-    file: Option<&'a str>,
-}
-
-impl<'a> ViewFiles<'a> {
-    /// Returns the files that a truth names: their folder, and the path of each from there if the
-    /// scene says it.
-    pub(crate) fn of((folder, file): (&'a PathBuf, Option<&'a str>)) -> Self {
-        Self { folder, file }
-    }
-
+impl TruthFiles<'_> {
     /// The image of a view: the first format that exists, EXR if none does.
     pub(crate) fn image(&self, view: &str) -> PathBuf {
         if let Some(file) = self.named(view) {
@@ -237,7 +224,7 @@ mod tests {
         let alpha = alpha.unwrap();
         assert!((alpha[0] - 1.0).abs() < 1e-6 && (alpha[1] - 0.4).abs() < 1e-6, "{alpha:?}");
         assert!((pixels[1] - 0.4 * Vec3::new(1.0, 0.2, 0.0)).length() < 1e-6, "{pixels:?}");
-        let files = ViewFiles { folder: folder.path(), file: Some("{view}.png") };
+        let files = TruthFiles { folder: folder.path(), file: Some("{view}.png") };
         let albedo = files.read_layer(Layer::Albedo, ["truth", "truth"], &camera(2)).unwrap();
         assert!((albedo[1] - Vec3::new(1.0, 0.2, 0.0)).length() < 1e-6, "{albedo:?}");
     }
@@ -257,7 +244,7 @@ mod tests {
             );
         write_rgb8(at.join("test_003/normal.png"), &rgb).unwrap();
         write_rgb8(at.join("test_003/albedo.png"), &RgbImage::from_pixel(2, 2, Rgb([51, 102, 255]))).unwrap();
-        let files = |file| ViewFiles::of((&at, Some(file)));
+        let files = |file| TruthFiles { folder: &at, file: Some(file) };
         assert!(files("{view}/rgba_city.png").image("test_003").ends_with("test_003/rgba_city.png"));
         let names = ["train_test_003", "test_003"];
         let found = files("{view}/normal.png").read_layer(Layer::Normal, names, &camera(2)).unwrap();
@@ -270,7 +257,7 @@ mod tests {
         assert_eq!(found, [at.join("test_003/normal.png")]);
         found = files("test_{view}/a{view}o.png").found();
         assert_eq!(found, [at.join("test_003/albedo.png")]);
-        assert_eq!(ViewFiles::of((&at, None)).found(), [at.join("test_003")]);
+        assert_eq!(TruthFiles { folder: &at, file: None }.found(), [at.join("test_003")]);
         let missing = files("{view}/depth.png").read_layer(Layer::Albedo, names, &camera(2)).unwrap_err();
         assert!(missing.to_string().contains("test_003/depth.png"), "{missing}");
     }

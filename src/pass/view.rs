@@ -30,7 +30,7 @@ pub(crate) fn run(session: &mut Session, pass: &ViewPass) -> Result<()> {
         Some((pass.name().to_owned(), light.lobes.clone()))
     });
     let named = named.collect();
-    let path = session.folder(&pass.name).join(PAGE);
+    let path = session.out.join(&pass.name).join(PAGE);
     write_page(session, pass, named, &path)
 }
 

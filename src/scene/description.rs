@@ -3,8 +3,8 @@
 //! Unless a field says otherwise, lengths are in the data set's own unit, colors are linear Rec. 709 and
 //! paths may begin with `$DATA` (the folder given by `--data`) or are relative to the scene file.
 
-use crate::scene::passes::Pass;
-use crate::scene::views::Views;
+use crate::scene::Pass;
+use crate::scene::Views;
 use glam::Vec3;
 use lobelia_io::codec::npy::NpyConvention;
 use lobelia_sg::brdf::Ndf;
@@ -279,6 +279,18 @@ pub enum LightSource {
         #[serde(default)]
         white: bool,
     },
+}
+
+impl LightSource {
+    /// Its factor on the radiance and its turn in degrees.
+    pub fn scale_and_turn(&self) -> (f32, Vec3) {
+        match self {
+            Self::Lobes { scale, rotation_degrees, .. }
+            | Self::Npy { scale, rotation_degrees, .. }
+            | Self::Ron { scale, rotation_degrees, .. }
+            | Self::Map { scale, rotation_degrees, .. } => (*scale, *rotation_degrees),
+        }
+    }
 }
 
 /// The material, known or unknown in each part.

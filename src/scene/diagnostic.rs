@@ -2,6 +2,7 @@
 
 use crate::scene::ron_tree::{Body, Node, SyntaxError};
 use lobelia_geometry::error::{Error, Fault, Label, SceneDiagnostic};
+use lobelia_io::codec::nearby::closest;
 use ron::error::{Error as Ron, Position, SpannedError};
 use std::ops::Range;
 use std::path::Path;
@@ -204,25 +205,9 @@ fn choices(kind: &str, found: &str, expected: &[&str]) -> String {
         _ => "",
     };
     let all = expected.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
-    let near = nearest(found, expected.iter().copied());
-    let near = near.map_or(String::new(), |name| format!("Did you mean `{name}`? "));
+    let near = closest(found, expected.iter().copied());
+    let near = near.first().map_or(String::new(), |name| format!("Did you mean `{name}`? "));
     format!("{instead}{near}The {kind} are: {all}.")
-}
-
-/// The candidate with the fewest changed letters, if that is at most a third of them (rounded up).
-pub fn nearest<'a>(found: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    // No name is so long, and comparing takes time in proportion to the length.
-    if found.len() > 1000 {
-        return None;
-    }
-    let found_lower = found.to_lowercase();
-    let limit = found.chars().count().div_ceil(3);
-    candidates
-        .into_iter()
-        .map(|candidate| (strsim::levenshtein(&found_lower, &candidate.to_lowercase()), candidate))
-        .filter(|(distance, _)| *distance <= limit)
-        .min_by_key(|(distance, _)| *distance)
-        .map(|(_, candidate)| candidate)
 }
 
 #[cfg(test)]
@@ -230,19 +215,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nearest_finds_slips_and_leaves_strangers() {
-        assert_eq!(nearest("rougness", ["albedo", "roughness"]), Some("roughness"));
-        assert_eq!(nearest("published", ["Published", "PathTraced"]), Some("Published"));
-        assert_eq!(nearest("colour", ["path", "scale"]), None);
-    }
-
-    #[test]
     fn long_texts_lose_their_middle() {
         assert_eq!(shortened("fine".into(), 4), "fine");
         let short = shortened(format!("unknown field `{}é`", "ü".repeat(65_536)), 300);
         assert!(short.starts_with("unknown field `üü") && short.ends_with("üé`"), "{short}");
         assert_eq!(short.chars().count(), 200 + 3 + 50);
-        assert_eq!(nearest(&"x".repeat(1001), ["x"]), None);
     }
 
     #[test]

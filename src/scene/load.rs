@@ -1,11 +1,11 @@
 //! Reading a scene file: `--set`, parsing, paths and checks, each error with a caret. Nothing is written.
 
-use crate::scene::description::{Scene, VERSION};
+use crate::scene::Edit;
 use crate::scene::diagnostic::{Problem, SceneText};
-use crate::scene::render::Edit;
 use crate::scene::ron_tree::{self, Node};
 use crate::scene::source::set;
 use crate::scene::validate::check;
+use crate::scene::{Scene, VERSION};
 use lobelia_geometry::{Error, Result};
 use lobelia_io::codec::file::{FileKind, MOST_TEXT, obstacle, read_text};
 use ron::extensions::Extensions;

@@ -1,7 +1,7 @@
 //! How a pass renders: which views and shading, how the pictures look, films, and edits of the material.
 
 use crate::report::tone::Tone;
-use crate::scene::description::{number, yes};
+use crate::scene::{number, yes};
 use glam::Vec3;
 use lobelia_sg::accurate::Quality;
 use serde::{Deserialize, Serialize};
@@ -231,7 +231,7 @@ pub enum Edit {
     /// Changes the diffuse albedo.
     Diffuse {
         /// The change of the diffuse albedo.
-        action: DiffuseAction,
+        action: ColorAction,
         /// Where. Default `All`.
         #[serde(default)]
         region: Region,
@@ -263,27 +263,8 @@ impl Edit {
     }
 }
 
-/// Change of the diffuse albedo; results are clamped to [0, 1].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub enum DiffuseAction {
-    /// Replaces it: `Set(0.8, 0.1, 0.1)`, in [0, 1].
-    Set(Vec3),
-    /// Multiplies it: `Scale(1.2, 1, 1)`, ≥ 0.
-    Scale(Vec3),
-    /// Moves it toward a color: old + weight (color − old).
-    Blend {
-        /// The color, in [0, 1].
-        color: Vec3,
-        /// In [0, 1].
-        weight: f32,
-    },
-    /// Replaces it by an image in texture space: PNG (sRGB) or EXR (linear); must exist. `Texture("paint.png")`.
-    Texture(PathBuf),
-}
-
 /// Change of a color; results are clamped to [0, 1].
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum ColorAction {
     /// Replaces it: `Set(0.9, 0.65, 0.3)`, in [0, 1].
@@ -297,6 +278,8 @@ pub enum ColorAction {
         /// In [0, 1].
         weight: f32,
     },
+    /// Replaces the diffuse albedo by an image in texture space: PNG (sRGB) or EXR (linear); must exist. `Texture("paint.png")`.
+    Texture(PathBuf),
 }
 
 /// Change of the roughness; results are clamped to [0.03, 1].

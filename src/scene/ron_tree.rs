@@ -37,8 +37,6 @@ pub enum Body {
     Fields(Vec<(Range<usize>, Node)>),
     /// `[…]`, or `(value, …)`.
     Items(Vec<Node>),
-    /// `{key: value, …}`.
-    Map(Vec<(Node, Node)>),
 }
 
 /// Text that is not RON.
@@ -90,7 +88,6 @@ impl Node {
             Body::Plain | Body::Text(_) => Vec::new(),
             Body::Fields(fields) => fields.iter().map(|(_, value)| value).collect(),
             Body::Items(items) => items.iter().collect(),
-            Body::Map(entries) => entries.iter().flat_map(|(key, value)| [key, value]).collect(),
         }
     }
 
@@ -135,11 +132,6 @@ impl Node {
                     of_kind.next().filter(|_| of_kind.next().is_none())
                 }),
             },
-            Body::Map(entries) => {
-                let is_key =
-                    |key: &Node| matches!(&key.body, Body::Text(range) if &text[range.clone()] == step);
-                entries.iter().find(|(key, _)| is_key(key)).map(|(_, value)| value)
-            }
             Body::Plain | Body::Text(_) => None,
         }
     }
@@ -242,7 +234,6 @@ impl Parser<'_> {
         let body = match self.peek() {
             Some('(') => self.group()?,
             Some('[') => self.list()?,
-            Some('{') => self.map()?,
             Some('"') => self.quoted()?,
             Some('r') if self.starts_raw() => self.quoted()?,
             Some(c) if c.is_alphabetic() || c == '_' => {
@@ -346,21 +337,6 @@ impl Parser<'_> {
             Ok(())
         })?;
         Ok(Body::Items(items))
-    }
-
-    fn map(&mut self) -> Result<Body, SyntaxError> {
-        let mut entries = Vec::new();
-        self.bracket('}', |parser, open| {
-            let key = parser.value()?;
-            parser.skip_blank()?;
-            if parser.peek() != Some(':') {
-                return Err(parser.error("`:` after the key", Some(open)));
-            }
-            parser.at += 1;
-            entries.push((key, parser.value()?));
-            Ok(())
-        })?;
-        Ok(Body::Map(entries))
     }
 
     /// Whether a raw string (`r"`, `r#"`) follows, rather than an identifier.

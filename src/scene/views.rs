@@ -1,7 +1,7 @@
 //! The views: photographs on disk, cameras alone, or photographs that the project takes itself.
 
-use crate::scene::description::{LightSource, fov_degrees, number, one, y_axis};
-use crate::scene::render::Edit;
+use crate::scene::Edit;
+use crate::scene::{LightSource, fov_degrees, number, one, y_axis};
 use glam::Vec3;
 use lobelia_geometry::view::Split;
 use lobelia_io::codec::image::Gamma;

@@ -32,32 +32,28 @@ pub struct LoadedLight {
 /// # Errors
 /// If a file is missing or wrong, or a lobe is.
 pub fn load_light(source: &LightSource) -> Result<LoadedLight> {
-    let turned = |lobes: &[LightLobe], scale: f32, degrees: Vec3| {
-        rotate_lobes(&scale_lobes(lobes, Vec3::splat(scale)), rotation(degrees))
+    let (scale, degrees) = source.scale_and_turn();
+    let turn = rotation(degrees);
+    let given = |lobes: &[LightLobe]| {
+        let lobes = rotate_lobes(&scale_lobes(lobes, Vec3::splat(scale)), turn);
+        LoadedLight { lobes, map: None, notes: Vec::new() }
     };
     let light = match source {
-        LightSource::Ron { path, scale, rotation_degrees } => {
-            return load_light(&inlined(path, *scale, *rotation_degrees)?);
+        LightSource::Ron { path, .. } => return load_light(&inlined(path, scale, degrees)?),
+        LightSource::Lobes { lobes, .. } => {
+            let unit = lobes.iter().map(|l| LightLobe { axis: l.axis.normalize_or(l.axis), ..*l });
+            given(&unit.collect::<Vec<_>>())
         }
-        LightSource::Lobes { lobes, scale, rotation_degrees } => {
-            let unit: Vec<LightLobe> =
-                lobes.iter().map(|l| LightLobe { axis: l.axis.normalize_or(l.axis), ..*l }).collect();
-            LoadedLight { lobes: turned(&unit, *scale, *rotation_degrees), map: None, notes: Vec::new() }
-        }
-        LightSource::Npy { path, convention, scale, rotation_degrees } => {
-            let lobes = read_lobes(path, *convention)?;
-            LoadedLight { lobes: turned(&lobes, *scale, *rotation_degrees), map: None, notes: Vec::new() }
-        }
-        LightSource::Map { path, scale, rotation_degrees, lobes, convention, upper_hemisphere, white } => {
+        LightSource::Npy { path, convention, .. } => given(&read_lobes(path, *convention)?),
+        LightSource::Map { path, lobes, convention, upper_hemisphere, white, .. } => {
             let (map, notes) = read_map_with_notes(path)?;
             let options = MapFit { upper_hemisphere: *upper_hemisphere, white: *white, ..MapFit::default() };
             let map = target_of(&convention.to_lobelia(map), &options);
             check_lit(path, &map)?;
-            let map = map.scaled(Vec3::splat(*scale));
+            let map = map.scaled(Vec3::splat(scale));
             validate_map(&map).map_err(|problem| unusable(format!("{}: {problem}", path.display())))?;
             let fitted = fit_map_with(&map, *lobes as usize, &options, &mut |_| {}, &is_stopping)?.lobes;
-            let turn = rotation(*rotation_degrees);
-            let map = if *rotation_degrees == Vec3::ZERO { map } else { map.rotated(turn) };
+            let map = if degrees == Vec3::ZERO { map } else { map.rotated(turn) };
             LoadedLight { lobes: rotate_lobes(&fitted, turn), map: Some(Arc::new(MapLight::new(map))), notes }
         }
     };
@@ -217,24 +213,19 @@ fn turned_after(first: Vec3, then: Vec3) -> Vec3 {
 
 /// The light of a source.
 fn open(source: &LightSource) -> Result<(LightFile, Vec<String>)> {
-    let (light, notes, scale, degrees) = match source {
-        LightSource::Lobes { lobes, scale, rotation_degrees } => (
-            LightFile::Lobes(lobes.iter().map(with_unit_axis).collect()),
-            Vec::new(),
-            *scale,
-            *rotation_degrees,
-        ),
-        LightSource::Npy { path, convention, scale, rotation_degrees } => {
-            let lobes = read_lobes(path, *convention)?;
-            (LightFile::Lobes(lobes), Vec::new(), *scale, *rotation_degrees)
+    let (scale, degrees) = source.scale_and_turn();
+    let (light, notes) = match source {
+        LightSource::Lobes { lobes, .. } => {
+            (LightFile::Lobes(lobes.iter().map(with_unit_axis).collect()), Vec::new())
         }
-        LightSource::Map { path, scale, rotation_degrees, convention, .. } => {
+        LightSource::Npy { path, convention, .. } => {
+            (LightFile::Lobes(read_lobes(path, *convention)?), Vec::new())
+        }
+        LightSource::Map { path, convention, .. } => {
             let (map, notes) = read_map(path, *convention)?;
-            (LightFile::Map(map), notes, *scale, *rotation_degrees)
+            (LightFile::Map(map), notes)
         }
-        LightSource::Ron { path, scale, rotation_degrees } => {
-            return open(&inlined(path, *scale, *rotation_degrees)?);
-        }
+        LightSource::Ron { path, .. } => return open(&inlined(path, scale, degrees)?),
     };
     let light = light.scaled(scale);
     Ok((if degrees == Vec3::ZERO { light } else { light.rotated(rotation(degrees)) }, notes))

@@ -74,7 +74,7 @@ const ENVIRONMENT_SIZE: (u32, u32) = (512, 256);
 /// [`Error::Interrupted`] if the run is stopped, once the results so far are written.
 pub(crate) fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     // Created first, so that an unwritable folder is detected before the fit.
-    let folder = session.folder(&pass.name);
+    let folder = session.out.join(&pass.name);
     std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
     if let Gloss::Texels { smoothness, color_width, specular } = session.scene.material.gloss {
         let first = initial_specular(&session.scene.material.specular).roughness;
@@ -305,7 +305,7 @@ fn materials_ron(materials: &[(usize, SpecularLobe)], scale: &ScaleFound) -> Str
 /// the fitted size) if cameras moved, and `exposures.csv` if photographs have exposures of their own,
 /// to the folder of a pass, and prints how far cameras moved.
 pub(crate) fn write_views(session: &mut Session, name: &str, cameras: CameraUnknowns) -> Result<()> {
-    let folder = session.folder(name);
+    let folder = session.out.join(name);
     if cameras != CameraUnknowns::Given {
         let world = &mut session.pipeline.world;
         let shifts = shifts_px(world, session.surface.bounding_sphere());

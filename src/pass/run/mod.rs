@@ -23,8 +23,8 @@ pub mod summary;
 use crate::pass::photograph::{camera_of, imagine};
 use crate::pass::{evaluate, export, fit, render, save, shape, view};
 use crate::scene::{
-    CameraSpec, EditPass, LightSource, Pass, RelightPass, RenderPass, Scene, Surface as SurfaceSpec,
-    ViewPass, Views, load::LoadedScene, unknown_parts,
+    CameraSpec, LightSource, Pass, Scene, Surface as SurfaceSpec, ViewPass, Views, load::LoadedScene,
+    unknown_parts,
 };
 use crate::spawn::{SurfaceUse, load_light};
 use crate::survey::{Severity, Survey, look::ViewLook, open::OpenScene};
@@ -43,7 +43,6 @@ use record::{Claim, RunRecord, RunState};
 use resume::RunStart;
 use session::Session;
 use std::borrow::Cow;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use summary::Reporter;
@@ -215,19 +214,12 @@ fn run_passes(
         let ended = run_pass(session, pass);
         drop(at_work);
         finish_stopping();
-        // On a full disk later passes would end in the same way.
-        let mut ends_all = false;
         let state = RunState::of(&ended);
         match ended {
             Ok(()) => {}
             Err(Error::Interrupted) => stopped.push(pass),
             Err(error) => {
-                ends_all = matches!(&error, Error::Io { source, .. } if matches!(
-                    source.kind(),
-                    ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::ReadOnlyFilesystem
-                ));
                 match &first {
-                    _ if ends_all => {}
                     None => told.note(&format!("pass {name} failed; what does not need it goes on")),
                     Some(_) => told.note(&format!("pass {name} failed: {error}")),
                 }
@@ -235,12 +227,13 @@ fn run_passes(
                 first.get_or_insert(error);
             }
         }
+        // On a full disk this fails as well, and ends the run.
         let _after = info_span!("scores, report, checkpoint").entered();
         let recorded = record
             .pass(index, state, told.take())
             .and_then(|()| session.write_scores())
             .and_then(|()| session.report.write(&session.out));
-        if ends_all || recorded.is_err() {
+        if recorded.is_err() {
             return first.map_or(recorded, Err);
         }
         if failed.is_empty() {
@@ -253,34 +246,28 @@ fn run_passes(
     first.or(stopped_by().map(|_| Error::Interrupted)).map_or(Ok(()), Err)
 }
 
+/// Whether a pass scores another.
+fn scores(pass: &Pass, other: &Pass) -> bool {
+    matches!(pass, Pass::Evaluate(pass) if pass.scores.iter().any(|score| score.pass == other.name()))
+}
+
 /// Whether a pass writes what was found when a run is stopped: it takes little time, and all that it needs is there.
 fn writes_results(pass: &Pass, stopped: &[&Pass]) -> bool {
-    match pass {
-        Pass::Save(_) | Pass::Export(_) => true,
-        Pass::Evaluate(evaluate) => {
-            !evaluate.scores.iter().any(|score| stopped.iter().any(|pass| pass.name() == score.pass))
-        }
-        _ => false,
-    }
+    matches!(pass, Pass::Save(_) | Pass::Export(_) | Pass::Evaluate(_))
+        && !stopped.iter().any(|stopped| scores(pass, stopped))
 }
 
 /// Whether a pass has nothing to work with where an earlier one failed: everything after what finds
 /// the object, scores after their pictures.
 fn needs(pass: &Pass, failed: &Pass) -> bool {
-    match (pass, failed) {
-        (_, Pass::Fit(_) | Pass::Shape(_)) => true,
-        (Pass::Evaluate(evaluate), _) => evaluate.scores.iter().any(|score| score.pass == failed.name()),
-        _ => false,
-    }
+    matches!(failed, Pass::Fit(_) | Pass::Shape(_)) || scores(pass, failed)
 }
 
 fn run_pass(session: &mut Session, pass: &Pass) -> Result<()> {
     match pass {
         Pass::Fit(pass) => fit::run(session, pass),
         Pass::Shape(pass) => shape::run(session, pass),
-        Pass::Render(RenderPass { render, .. })
-        | Pass::Edit(EditPass { render, .. })
-        | Pass::Relight(RelightPass { render, .. }) => render::run(session, pass, render),
+        Pass::Render(of) | Pass::Edit(of) | Pass::Relight(of) => render::run(session, pass, &of.render),
         Pass::Evaluate(pass) => {
             // A truth that has changed is told of, instead of scores that are half of one and half of the other.
             session.watched.check()?;

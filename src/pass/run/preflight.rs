@@ -5,13 +5,14 @@
 use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
 use crate::pass::render::{ChosenView, chosen_stems, chosen_views, film_files};
 use crate::pass::show::{apply_edits, edits_of_nothing};
-use crate::pass::truth_files::{ViewFiles, read_fitting};
+use crate::pass::truth_files::read_fitting;
 use crate::pass::{
-    evaluate::PARTS, export, photograph::ring, run::session::Session, view::PAGE, view_report::VIEWS,
+    evaluate::PARTS, export, photograph::ring, run::record::PassRecord, run::session::Session, view::PAGE,
+    view_report::VIEWS,
 };
 use crate::scene::{
-    EditPass, EvaluatePass, Gloss, LayerTruth, Light, LightSource, Pass, PlacementLight, RelightPass,
-    RenderPass, RenderSettings, Scene, Truth, ViewChoice, Views, load::LoadedScene,
+    EvaluatePass, Gloss, LayerTruth, Light, LightSource, Pass, PlacementLight, RenderPass, RenderSettings,
+    Scene, Truth, TruthFiles, ViewChoice, Views, load::LoadedScene,
 };
 use crate::spawn::light::{files_of, inlined};
 use crate::survey::open::OpenScene;
@@ -37,17 +38,8 @@ pub(crate) const RUN: &str = "run.json";
 /// Bytes of a rendered photograph's pixel: radiance and the mask.
 const PHOTOGRAPH_PIXEL_BYTES: u64 = 12 + 2;
 
-/// Files that a pass may write, by paths below the output folder, with `/` between their parts. One
-/// that ends with `/` is a folder of which all files are the pass's.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct PassFiles {
-    pub pass: String,
-    pub files: Vec<String>,
-}
-
-/// The files that the passes of a scene may write, at least all that they will. `open` is the scene's data
-/// set, if it has one.
-pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Option<u32>) -> Vec<PassFiles> {
+/// The passes of a scene before they begin, with all files that they may write. `open` is the scene's data set, if it has one.
+pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Option<u32>) -> Vec<PassRecord> {
     // Before any view is read.
     let views: Vec<(String, Split)> = match (&scene.views, open) {
         (Views::Cameras(cameras), _) => cameras.iter().map(|view| (view.name.clone(), view.split)).collect(),
@@ -85,8 +77,8 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
                 names.extend(debug_every.map(|_| "debug/".to_owned()));
             }
             Pass::Render(RenderPass { render, .. })
-            | Pass::Edit(EditPass { render, .. })
-            | Pass::Relight(RelightPass { render, .. }) => {
+            | Pass::Edit(RenderPass { render, .. })
+            | Pass::Relight(RenderPass { render, .. }) => {
                 names.extend(stems(render).flat_map(|stem| [format!("{stem}.exr"), format!("{stem}.png")]));
                 names.extend(render.orbit.iter().flat_map(|_| film_files()));
             }
@@ -106,7 +98,7 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
             Pass::View(_) => names.push(PAGE.to_owned()),
         }
         let files = names.iter().map(|name| format!("{}/{name}", pass.name())).collect();
-        PassFiles { pass: pass.name().to_owned(), files }
+        PassRecord::waiting(pass.name(), files)
     };
     scene.passes.iter().map(of_pass).collect()
 }
@@ -142,9 +134,6 @@ fn of_save(scene: &Scene) -> BTreeSet<String> {
     names
 }
 
-/// The folder of a ground truth, and the path of each file from there if the scene says it.
-type TruthFiles<'a> = (&'a PathBuf, Option<&'a str>);
-
 fn truths_of(pass: &Pass) -> Vec<TruthFiles<'_>> {
     let Pass::Evaluate(pass) = pass else { return Vec::new() };
     let images = pass.scores.iter().filter_map(|score| score.truth.files());
@@ -167,8 +156,8 @@ pub(super) fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<File
         inputs.extend(named.map(|path| FileUse::new(path, &by)));
     }
     for truth in loaded.scene.passes.iter().flat_map(truths_of) {
-        let by = format!("which is in {}, a folder of ground truth", truth.0.display());
-        inputs.extend(ViewFiles::of(truth).found().into_iter().map(|path| FileUse::new(path, &by)));
+        let by = format!("which is in {}, a folder of ground truth", truth.folder.display());
+        inputs.extend(truth.found().into_iter().map(|path| FileUse::new(path, &by)));
     }
     let views = open.map(|open| open.views.as_slice()).unwrap_or_default();
     let cameras: BTreeSet<&Path> = views.iter().map(|view| view.camera_file()).collect();
@@ -368,7 +357,6 @@ fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
         // Layers are scored on the views of the first score.
         for (truth, layer) in [(&pass.albedo, Layer::Albedo), (&pass.normal, Layer::Normal)] {
             if let (0, Some(files)) = (i, truth.as_ref().and_then(LayerTruth::files)) {
-                let files = ViewFiles::of(files);
                 views.par_iter().try_for_each(|view| {
                     files.read_layer(layer, [&view.stem, &view.name], &view.camera).map(|_| ())
                 })?;
@@ -385,7 +373,7 @@ fn check_image(world: &World, pass: &str, truth: &Truth, view: &ChosenView) -> R
             "Score only views with photographs: choose them with `render: (views: …)`.",
         )),
         _ => truth.files().map_or(Ok(()), |files| {
-            read_fitting(&ViewFiles::of(files).image(&view.name), Gamma::Srgb, &view.camera).map(|_| ())
+            read_fitting(&files.image(&view.name), Gamma::Srgb, &view.camera).map(|_| ())
         }),
     }
 }

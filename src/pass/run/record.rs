@@ -1,7 +1,7 @@
 //! Record of a run in its output folder: `run.json` lists the files that belong together, by which
 //! `--force` tells its own files from others.
 
-use crate::pass::run::preflight::{PassFiles, RUN, check_outputs, inputs, outputs};
+use crate::pass::run::preflight::{RUN, check_outputs, inputs, outputs};
 use crate::pass::run::resume::{self, RunStart};
 use crate::pass::{run::RunOptions, run::memory::Machine, run::session::METRICS};
 use crate::report::{html::REPORT, scores::peak_rss_mib};
@@ -67,8 +67,16 @@ pub(super) struct PassRecord {
     /// Its lines of result and its notes.
     #[serde(default)]
     pub said: Vec<String>,
-    /// Before it is finished: the files that it may write.
+    /// Paths below the output folder, with `/` between their parts; one that ends with `/` is a folder of which all files are the
+    /// pass's. Before it is finished: the files that it may write.
     pub files: Vec<String>,
+}
+
+impl PassRecord {
+    pub fn waiting(name: &str, files: Vec<String>) -> Self {
+        let (name, state) = (name.to_owned(), RunState::Waiting);
+        Self { name, state, secs: None, peak_rss_mib: None, said: Vec::new(), files }
+    }
 }
 
 /// The manifest.
@@ -210,7 +218,7 @@ fn all_existing<'a>(out: &Path, listed: impl IntoIterator<Item = &'a String>) ->
 pub(super) struct Claim {
     lock: FolderLock,
     out: PathBuf,
-    plan: Vec<PassFiles>,
+    plan: Vec<PassRecord>,
     /// The manifest of the run before, and the files that it lists, also of runs before that.
     before: Option<Record>,
     old: BTreeSet<String>,
@@ -226,8 +234,8 @@ impl Claim {
         let out = &options.out;
         let plan = outputs(&loaded.scene, data, options.debug_every);
         let used = |file: &str, by: &str| FileUse::new(out.join(file), by);
-        let of_pass = |pass: &PassFiles| -> Vec<FileUse> {
-            let by = format!("pass {}", pass.pass);
+        let of_pass = |pass: &PassRecord| -> Vec<FileUse> {
+            let by = format!("pass {}", pass.name);
             pass.files.iter().map(|file| used(file, &by)).collect()
         };
         let of_run = OF_RUN.into_iter().chain([RUN]).map(|file| used(file, "the run"));
@@ -243,7 +251,7 @@ impl Claim {
     }
 
     /// Takes a folder for a run that may write `plan`, of which nothing may be there that no run has written.
-    fn of_plan(out: &Path, plan: Vec<PassFiles>) -> Result<Self> {
+    fn of_plan(out: &Path, plan: Vec<PassRecord>) -> Result<Self> {
         let lock = FolderLock::take(out)?;
         let before = Record::read(out);
         if before.is_none() && is_used(out) {
@@ -282,7 +290,7 @@ impl Claim {
     /// one begins, which are of [`OF_RUN`] or under the names of its passes, and those that stay.
     fn leftovers(&self, done: &[PassRecord]) -> (Vec<String>, Vec<String>) {
         let names: BTreeSet<&str> =
-            self.plan.iter().skip(done.len()).map(|pass| pass.pass.as_str()).collect();
+            self.plan.iter().skip(done.len()).map(|pass| pass.name.as_str()).collect();
         let is_old = |file: &&String| *file != RUN && !done.iter().any(|pass| pass.files.contains(file));
         let is_stale = |file: &String| {
             OF_RUN.contains(&file.as_str())
@@ -304,17 +312,17 @@ impl Claim {
     ) -> Result<RunRecord> {
         let mut passes = Vec::new();
         for pass in self.plan.iter().take(done) {
-            let is_same = |old: &&PassRecord| old.name == pass.pass && old.state == RunState::Finished;
+            let is_same = |old: &&PassRecord| old.name == pass.name && old.state == RunState::Finished;
             let old = self.before.iter().flat_map(|before| &before.passes).find(is_same);
             passes.push(PassRecord {
                 state: RunState::Finished,
                 files: all_existing(&self.out, &pass.files),
-                ..old.cloned().unwrap_or(waiting(pass))
+                ..old.unwrap_or(pass).clone()
             });
         }
         let (stale, kept) = self.leftovers(&passes);
         let Self { lock, out, plan, .. } = self;
-        passes.extend(plan.iter().skip(done).map(waiting));
+        passes.extend(plan.iter().skip(done).cloned());
         let mut record = Record {
             program: PROGRAM.into(),
             start,
@@ -338,19 +346,8 @@ impl Claim {
     }
 }
 
-fn waiting(pass: &PassFiles) -> PassRecord {
-    PassRecord {
-        name: pass.pass.clone(),
-        state: RunState::Waiting,
-        secs: None,
-        peak_rss_mib: None,
-        said: Vec::new(),
-        files: pass.files.clone(),
-    }
-}
-
 /// Removes old files, and what was left unfinished.
-fn clear(out: &Path, mut stale: Vec<String>, plan: &[PassFiles]) -> Result<()> {
+fn clear(out: &Path, mut stale: Vec<String>, plan: &[PassRecord]) -> Result<()> {
     // A saved scene must not outlive the files that it names.
     stale.sort_by_key(|file| !file.ends_with(".ron"));
     for file in &stale {
@@ -375,8 +372,8 @@ fn parents(listed: &str) -> impl Iterator<Item = String> + use<'_> {
 }
 
 /// The folders that a pass may write into, as paths below the output folder.
-fn folders_of(pass: &PassFiles) -> BTreeSet<String> {
-    pass.files.iter().flat_map(|file| parents(file)).chain([pass.pass.clone()]).collect()
+fn folders_of(pass: &PassRecord) -> BTreeSet<String> {
+    pass.files.iter().flat_map(|file| parents(file)).chain([pass.name.clone()]).collect()
 }
 
 /// The manifest of a run that has begun; the folder is its own as long as this lives.
@@ -428,9 +425,8 @@ mod tests {
     use super::*;
     use crate::scene::load::{LoadOptions, load};
 
-    fn plan(files: &[&str]) -> Vec<PassFiles> {
-        let files = files.iter().map(|file| format!("novel/{file}")).collect();
-        vec![PassFiles { pass: "novel".into(), files }]
+    fn plan(files: &[&str]) -> Vec<PassRecord> {
+        vec![PassRecord::waiting("novel", files.iter().map(|file| format!("novel/{file}")).collect())]
     }
 
     const SCENE: &str = r#"Scene(

@@ -260,10 +260,6 @@ impl<'a> Session<'a> {
         self.scene.passes.iter().find(|pass| Some(pass.name()) == name)
     }
 
-    pub fn folder(&self, pass: &str) -> PathBuf {
-        self.out.join(pass)
-    }
-
     pub fn write_scores(&mut self) -> Result<()> {
         let guard = self.pipeline.world.get_resource::<StepGuard>();
         self.scores.steps_taken_back = guard.map_or(0, |guard| guard.taken_back);

@@ -10,12 +10,12 @@ pub(crate) use passes::uses_published;
 pub(super) use place::Found;
 pub use place::MIN_ROUGHNESS;
 
-use crate::scene::description::{
+use crate::scene::load::LoadOptions;
+use crate::scene::{
     Albedo, AlbedoSource, Gloss, Light, LightFrameChoice, LightSource, Material, NdfChoice, Roughness, Scene,
     Sheen, Specular, SpecularAlbedo, Surface, Tilt, VERSION, Visibility,
 };
-use crate::scene::load::LoadOptions;
-use crate::scene::views::{CameraSpec, Dataset, Pattern, Photographed, PlacementLight, PlacementSpec, Views};
+use crate::scene::{CameraSpec, Dataset, Pattern, Photographed, PlacementLight, PlacementSpec, Views};
 use glam::Vec3;
 use lobelia_geometry::mesh::MAX_COORDINATE;
 use lobelia_io::codec::image::Gamma;
@@ -262,8 +262,8 @@ fn light_frame(at: &Place, frame: LightFrameChoice) {
 
 /// A light at its place.
 fn light_source(at: &Place, source: &mut LightSource) {
-    let (scale, rotation) = match source {
-        LightSource::Lobes { lobes, scale, rotation_degrees } => {
+    match source {
+        LightSource::Lobes { lobes, .. } => {
             at.length("lobes", lobes, MOST_LOBES);
             for (index, lobe) in lobes.iter().enumerate() {
                 let at = at.at("lobes").at(index);
@@ -271,21 +271,16 @@ fn light_source(at: &Place, source: &mut LightSource) {
                 at.number("sharpness", lobe.sharpness, 0.0..=MAX_SHARPNESS);
                 at.channels("amplitude", lobe.amplitude, MAX_RADIANCE);
             }
-            (scale, rotation_degrees)
         }
-        LightSource::Npy { path, scale, rotation_degrees, .. }
-        | LightSource::Ron { path, scale, rotation_degrees } => {
-            at.file("path", path);
-            (scale, rotation_degrees)
-        }
-        LightSource::Map { path, scale, rotation_degrees, lobes, .. } => {
+        LightSource::Npy { path, .. } | LightSource::Ron { path, .. } => at.file("path", path),
+        LightSource::Map { path, lobes, .. } => {
             at.file("path", path);
             at.count("lobes", *lobes, 1..=MOST_FITTED as u32);
-            (scale, rotation_degrees)
         }
-    };
-    at.not_negative("scale", *scale);
-    at.finite("rotation_degrees", *rotation);
+    }
+    let (scale, rotation) = source.scale_and_turn();
+    at.not_negative("scale", scale);
+    at.finite("rotation_degrees", rotation);
 }
 
 fn scale(root: &Place, rule: ScaleRule) {
