@@ -413,14 +413,11 @@ fn byte(value: f32) -> u8 {
 }
 
 /// Blend weights as `carried` changes triplets of values, or carries them from one atlas to another.
-pub(crate) fn carried_blends(
-    blends: &[SpecularBlend],
-    carried: &dyn Fn(&[Vec3]) -> Vec<Vec3>,
-) -> Vec<SpecularBlend> {
+pub fn carried_blends(of: &[SpecularBlend], carried: &dyn Fn(&[Vec3]) -> Vec<Vec3>) -> Vec<SpecularBlend> {
     let weight = |blend: &SpecularBlend, k: usize| blend.0.get(k).copied().unwrap_or(0.0);
     let triplets: [Vec<Vec3>; WEIGHT_TRIPLETS] = std::array::from_fn(|t| {
         let triplet = |blend: &SpecularBlend| Vec3::from_array([0, 1, 2].map(|c| weight(blend, 3 * t + c)));
-        carried(&blends.iter().map(triplet).collect::<Vec<_>>())
+        carried(&of.iter().map(triplet).collect::<Vec<_>>())
     });
     let count = triplets[0].len();
     (0..count).map(|i| SpecularBlend(std::array::from_fn(|k| triplets[k / 3][i][k % 3]))).collect()

@@ -24,8 +24,7 @@ use lobelia_world::light::{
 use lobelia_world::material::{
     SpecularBlend, SpecularLobe, edit::MaterialState, sheen::has_sheen, tilt::has_tilt,
 };
-use std::ffi::OsStr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Channels of colors.
 pub(crate) const RGB: [&str; 3] = ["R", "G", "B"];
@@ -51,7 +50,7 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
         Some(light) => light.lobes.clone(),
         None => own_lobes(&mut session.pipeline.world),
     };
-    let light = save_source(given, &lobes, &folder, "light")?;
+    let light = save_source(given, &lobes, &folder.join("light"))?;
     let own = session.pipeline.world.get_resource::<OwnLightFrame>().filter(|_| !relit);
     let frame = own.map(|own| own.0).unwrap_or_default();
     let saved = Scene {
@@ -81,7 +80,7 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
 /// If a file cannot be written.
 pub fn write_material(folder: &Path, material: &MaterialState, atlas: &TexelAtlas) -> Result<Material> {
     let write = |name: &str, channels: [&str; 3], values: &[Vec3]| {
-        write_vectors(&folder.join(name), channels, values, atlas).map(|()| name.into())
+        write_layers(&folder.join(name), atlas, vector_channels(channels, values)).map(|()| name.into())
     };
     let albedo: Vec<Vec3> = material.albedo.iter().map(|albedo| albedo.0).collect();
     let mut saved = Material {
@@ -109,65 +108,59 @@ pub fn write_material(folder: &Path, material: &MaterialState, atlas: &TexelAtla
         let (numbers, lobes): (Vec<usize>, Vec<SpecularLobe>) =
             material.materials().map(|(number, lobe)| (number, *lobe)).unzip();
         let weights = "blend.exr";
-        write_weights(&folder.join(weights), &material.blends, &numbers, atlas)?;
+        write_layers(&folder.join(weights), atlas, weight_channels(&material.blends, numbers))?;
         saved.gloss = Gloss::Fixed { lobes, weights: weights.into() };
     }
     Ok(saved)
 }
 
-/// Writes a vector for each texel, as channels of these names.
-pub(crate) fn write_vectors(
+/// Writes channels of a value for each texel, by their names.
+pub(crate) fn write_layers(
     path: &Path,
-    names: [&str; 3],
-    values: &[Vec3],
     atlas: &TexelAtlas,
+    channels: impl IntoIterator<Item = (String, Vec<f32>)>,
 ) -> Result<()> {
-    let mut texture = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
-    texture.insert_triple(names, values);
-    write_channels(path, &texture)
+    let (width, height, channels) = (atlas.width, atlas.height, channels.into_iter().collect());
+    write_channels(path, &ExrLayers { width, height, channels })
 }
 
-/// Writes the blend weights of the base materials with these numbers for [`read_weights`](lobelia_io::codec::texture::read_weights).
-pub(crate) fn write_weights(
-    path: &Path,
+/// The channels of vectors.
+pub(crate) fn vector_channels(names: [&str; 3], values: &[Vec3]) -> [(String, Vec<f32>); 3] {
+    [0, 1, 2].map(|axis| (names[axis].to_owned(), values.iter().map(|v| v[axis]).collect()))
+}
+
+/// The channels of the blend weights of the base materials with these numbers for [`read_weights`](lobelia_io::codec::texture::read_weights).
+pub(crate) fn weight_channels(
     blends: &[SpecularBlend],
-    numbers: &[usize],
-    atlas: &TexelAtlas,
-) -> Result<()> {
-    let mut layers = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
-    for (place, k) in numbers.iter().enumerate() {
-        layers.channels.insert(format!("weight{place}"), blends.iter().map(|blend| blend.0[*k]).collect());
-    }
-    write_channels(path, &layers)
+    numbers: impl IntoIterator<Item = usize>,
+) -> impl Iterator<Item = (String, Vec<f32>)> {
+    let weights = |k: usize| blends.iter().map(move |blend| blend.0[k]).collect();
+    numbers.into_iter().enumerate().map(move |(place, k)| (format!("weight{place}"), weights(k)))
 }
 
-/// Writes a light: the map that it is given by, unchanged, so that path tracing with it gives the same
-/// result, or else its lobes.
-fn save_source(
-    given: Option<LightSource>,
-    lobes: &[LightLobe],
-    folder: &Path,
-    stem: &str,
-) -> Result<LightSource> {
-    let mut given = match given {
+/// Writes a light to a file with this stem: the map that it is given by, unchanged, so that path tracing with it gives the same
+/// result, or else its lobes. Returns it with the name of that file.
+fn save_source(given: Option<LightSource>, lobes: &[LightLobe], stem: &Path) -> Result<LightSource> {
+    let given = match given {
         Some(LightSource::Ron { path, scale, rotation_degrees }) => {
             Some(inlined(&path, scale, rotation_degrees)?)
         }
         source => source,
     };
-    let name = |extension: &OsStr| Path::new(stem).with_extension(extension);
-    if let Some(LightSource::Map { path, .. }) = &mut given {
-        let bytes = read_bytes(path, missing_file_help)?;
-        *path = name(path.extension().unwrap_or_default());
-        write_bytes(&folder.join(path), &bytes)?;
-    }
-    if let Some(map @ LightSource::Map { .. }) = given {
+    let name = |file: &Path| PathBuf::from(file.file_name().unwrap_or_default());
+    if let Some(mut map @ LightSource::Map { .. }) = given {
+        if let LightSource::Map { path, .. } = &mut map {
+            let bytes = read_bytes(path, missing_file_help)?;
+            let file = stem.with_extension(path.extension().unwrap_or_default());
+            write_bytes(&file, &bytes)?;
+            *path = name(&file);
+        }
         return Ok(map);
     }
-    let path = name("npy".as_ref());
-    write_lobes(folder.join(&path), lobes, NpyConvention::Lobelia)?;
+    let file = stem.with_extension("npy");
+    write_lobes(&file, lobes, NpyConvention::Lobelia)?;
     Ok(LightSource::Npy {
-        path,
+        path: name(&file),
         convention: NpyConvention::Lobelia,
         scale: 1.0,
         rotation_degrees: Vec3::ZERO,
@@ -186,7 +179,8 @@ fn placements_found(session: &mut Session, spec: &Dataset, folder: &Path) -> Res
             PlacementLight::Fixed(source) => Some(Some(source.clone())),
         };
         let lobes = lobes_of_group(world, turn.light);
-        let saved = |given| save_source(given, &lobes, folder, &format!("light_{}", turn.light.0 + 1));
+        let stem = folder.join(format!("light_{}", turn.light.0 + 1));
+        let saved = |given| save_source(given, &lobes, &stem);
         let light = given.map(saved).transpose()?.map_or(PlacementLight::Same, PlacementLight::Fixed);
         Ok(PlacementSpec { turned_degrees: found.or(of.turned_degrees), light, ..of.clone() })
     };

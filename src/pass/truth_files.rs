@@ -106,11 +106,7 @@ pub(crate) fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result
 
 /// Returns the pixels of [`read_fitting`], weighted by coverage, and the coverage if the image has
 /// alpha.
-pub(crate) fn read_covered(
-    path: &Path,
-    gamma: Gamma,
-    camera: &Camera,
-) -> Result<(Vec<Vec3>, Option<Vec<f32>>)> {
+pub fn read_covered(path: &Path, gamma: Gamma, camera: &Camera) -> Result<(Vec<Vec3>, Option<Vec<f32>>)> {
     let loaded = read_image(path, gamma, Orientation::Upright)?;
     let (width, height) = (loaded.image.width, loaded.image.height);
     let alpha = loaded.alpha.map(|alpha| {

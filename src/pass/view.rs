@@ -5,6 +5,7 @@ use crate::pass::{run::session::Session, show::material_of};
 use crate::report::sheet::choose_evenly;
 use crate::report::tone::{Picture, jpeg_address, side_within, thumbnail_jpeg, thumbnail_mask};
 use crate::scene::{Pass, ViewPass, load::edit_to_ron};
+use crate::survey::counted;
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use image::{GrayImage, Luma};
@@ -72,11 +73,7 @@ pub(crate) fn write_page(
     let text = html(&contents)?;
     write_bytes(path, text.as_bytes())?;
     let mib = text.len() as f64 / 1048576.0;
-    let with = match embedded {
-        0 => String::new(),
-        1 => ", 1 photograph".to_owned(),
-        count => format!(", {count} photographs"),
-    };
+    let with = if embedded > 0 { format!(", {}", counted(embedded, "photograph")) } else { String::new() };
     session.progress.print(&format!("{}: {}{with}, {mib:.1} MiB", pass.name, path.display()));
     Ok(())
 }
@@ -99,13 +96,8 @@ const MOST_BYTES: usize = 3_000_000;
 /// Part of the longer side of the object's window that is added around it.
 const MARGIN: f32 = 0.04;
 
-/// Adds photographs to at most `most` of the cameras, which are of these views: held-out views first, evenly chosen. Returns to how many.
-fn add_photographs(
-    world: &World,
-    views: &[Entity],
-    cameras: &mut [PageCamera],
-    most: usize,
-) -> Result<usize> {
+/// Adds photographs to at most `max` of the cameras, which are of these views: held-out views first, evenly chosen. Returns to how many.
+fn add_photographs(world: &World, views: &[Entity], cameras: &mut [PageCamera], max: usize) -> Result<usize> {
     // They can be compared with what the scene's own light shows.
     let is_under_own_light = |view: Entity| {
         let (all, own) = (world.get_resource::<Placements>(), world.get::<Placement>(view));
@@ -119,7 +111,7 @@ fn add_photographs(
     for split in [Split::Test, Split::Train] {
         let there: Vec<usize> =
             (0..views.len()).filter(|i| cameras[*i].split == split && is_there(views[*i])).collect();
-        chosen.extend(choose_evenly(there.len(), most - chosen.len()).into_iter().map(|i| there[i]));
+        chosen.extend(choose_evenly(there.len(), max - chosen.len()).into_iter().map(|i| there[i]));
     }
     let side = side_within(chosen.len(), BUDGET);
     let (mut bytes, mut count) = (0, 0);

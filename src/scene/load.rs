@@ -32,8 +32,6 @@ pub struct LoadedScene {
     pub scene: Scene,
     /// The scene file.
     pub path: PathBuf,
-    /// The folder that relative paths start from.
-    pub base_dir: PathBuf,
     /// The text that was read, with `--set` applied.
     pub text: String,
     /// The files and folders that the scene needs, in the order of the scene file; all were found.
@@ -70,13 +68,11 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
     if let Some(seed) = options.seed {
         scene.seed = seed;
     }
-    let base_dir = path.parent().map_or_else(PathBuf::new, Path::to_owned);
-    let found = check(&mut scene, &base_dir, options);
+    let found = check(&mut scene, path.parent().unwrap_or(Path::new("")), options);
     if !found.problems.is_empty() {
         return Err(words.problems(root.as_ref(), found.problems));
     }
-    let (path, files, unseen) = (path.to_owned(), found.files, found.unseen);
-    Ok(LoadedScene { scene, path, base_dir, text, files, unseen })
+    Ok(LoadedScene { scene, path: path.to_owned(), text, files: found.files, unseen: found.unseen })
 }
 
 /// The scene as RON text, laid out for people; it reads back to an equal scene.

@@ -50,6 +50,9 @@ pub struct SyntaxError {
     pub open: Option<Range<usize>>,
 }
 
+/// What was read, or the first place where the text is not RON.
+type Read<T> = Result<T, SyntaxError>;
+
 impl Node {
     /// The name before `(`, or the bare identifier.
     pub fn name<'a>(&self, text: &'a str) -> Option<&'a str> {
@@ -153,7 +156,7 @@ impl Node {
 ///
 /// # Errors
 /// The first place where the text is not RON.
-pub fn parse(text: &str) -> Result<Node, SyntaxError> {
+pub fn parse(text: &str) -> Read<Node> {
     let mut parser = Parser { text, at: 0, depth: 0, values: 0 };
     parser.skip_blank()?;
     while parser.rest().starts_with("#!") {
@@ -188,7 +191,7 @@ impl Parser<'_> {
     }
 
     /// Skips white space and comments.
-    fn skip_blank(&mut self) -> Result<(), SyntaxError> {
+    fn skip_blank(&mut self) -> Read<()> {
         loop {
             self.take_while(char::is_whitespace);
             if self.rest().starts_with("//") {
@@ -201,7 +204,7 @@ impl Parser<'_> {
         }
     }
 
-    fn skip_block_comment(&mut self) -> Result<(), SyntaxError> {
+    fn skip_block_comment(&mut self) -> Read<()> {
         let open = self.at..self.at + 2;
         let mut depth = 0;
         loop {
@@ -224,7 +227,7 @@ impl Parser<'_> {
         }
     }
 
-    fn value(&mut self) -> Result<Node, SyntaxError> {
+    fn value(&mut self) -> Read<Node> {
         self.skip_blank()?;
         self.values += 1;
         if self.values > MAX_VALUES {
@@ -272,8 +275,8 @@ impl Parser<'_> {
     fn bracket(
         &mut self,
         close: char,
-        mut read: impl FnMut(&mut Self, &Range<usize>) -> Result<(), SyntaxError>,
-    ) -> Result<(), SyntaxError> {
+        mut read: impl FnMut(&mut Self, &Range<usize>) -> Read<()>,
+    ) -> Read<()> {
         if self.depth == MAX_DEPTH {
             return Err(self.error("fewer brackets inside each other", None));
         }
@@ -302,7 +305,7 @@ impl Parser<'_> {
         Ok(())
     }
 
-    fn group(&mut self) -> Result<Body, SyntaxError> {
+    fn group(&mut self) -> Read<Body> {
         let (mut fields, mut items) = (Vec::new(), Vec::new());
         self.bracket(')', |parser, open| {
             match parser.field_name()? {
@@ -316,7 +319,7 @@ impl Parser<'_> {
     }
 
     /// Consumes `name:` if that is what follows.
-    fn field_name(&mut self) -> Result<Option<Range<usize>>, SyntaxError> {
+    fn field_name(&mut self) -> Read<Option<Range<usize>>> {
         let start = self.at;
         if self.peek().is_some_and(|c| c.is_alphabetic() || c == '_') && !self.starts_raw() {
             let name = self.identifier();
@@ -330,7 +333,7 @@ impl Parser<'_> {
         Ok(None)
     }
 
-    fn list(&mut self) -> Result<Body, SyntaxError> {
+    fn list(&mut self) -> Read<Body> {
         let mut items = Vec::new();
         self.bracket(']', |parser, _| {
             items.push(parser.value()?);
@@ -344,7 +347,7 @@ impl Parser<'_> {
         self.rest().strip_prefix('r').is_some_and(|rest| rest.trim_start_matches('#').starts_with('"'))
     }
 
-    fn quoted(&mut self) -> Result<Body, SyntaxError> {
+    fn quoted(&mut self) -> Read<Body> {
         let start = self.at;
         self.take_while(|c| c != '"');
         let is_raw = self.at > start;

@@ -3,13 +3,16 @@
 use crate::scene::ron_tree::{Body, Node, parse};
 use std::ops::Range;
 
+/// A sentence and a help text.
+type Refusal = (String, String);
+
 /// Replaces the value at `path` by `value`, or inserts it where its struct lacks the field.
 ///
 /// Where a string is replaced, `value` may be given without quotes. Returns the new text.
 ///
 /// # Errors
 /// A sentence and a help text, if the text or the value is not RON, or the path leads nowhere.
-pub fn set(text: &str, path: &str, value: &str) -> Result<String, (String, String)> {
+pub fn set(text: &str, path: &str, value: &str) -> Result<String, Refusal> {
     let root = parse(text).map_err(|_| ("the scene file is not valid RON".to_owned(), String::new()))?;
     let steps: Vec<&str> = path.split('.').collect();
     if steps.contains(&"") {
@@ -29,7 +32,7 @@ pub fn set(text: &str, path: &str, value: &str) -> Result<String, (String, Strin
     Ok(splice(text, node.span.clone(), &value))
 }
 
-fn checked(value: &str) -> Result<&str, (String, String)> {
+fn checked(value: &str) -> Result<&str, Refusal> {
     let help = "Examples: 0.25, \"text\" (quoted, also for the shell: --set 'name=\"text\"'), (0.8, 0.1, 0.1), Fixed(0.3).";
     parse(value).map(|_| value).map_err(|error| {
         (format!("`{value}` is not a RON value: expected {}", error.expected), help.to_owned())
@@ -37,13 +40,7 @@ fn checked(value: &str) -> Result<&str, (String, String)> {
 }
 
 /// Inserts the value of a path of which `node` has the first `depth` steps.
-fn insert(
-    text: &str,
-    node: &Node,
-    steps: &[&str],
-    depth: usize,
-    value: &str,
-) -> Result<String, (String, String)> {
+fn insert(text: &str, node: &Node, steps: &[&str], depth: usize, value: &str) -> Result<String, Refusal> {
     let is_name = |step: &str| step.starts_with(|c: char| c.is_alphabetic() || c == '_');
     let missing = match &node.body {
         Body::Fields(_) => steps[depth..].iter().find(|step| !is_name(step)),

@@ -53,7 +53,11 @@ pub fn spawn(
     let (albedo, specular) = match scene.own_material() {
         Some(path) => own_material(path, surface)?,
         None => {
-            (initial_albedo(&scene.material.albedo, surface)?, initial_specular(&scene.material.specular))
+            let albedo = match &scene.material.albedo {
+                Albedo::Unknown => &AlbedoSource::Constant(Vec3::splat(USUAL_ALBEDO)),
+                Albedo::Initial(source) | Albedo::Fixed(source) => source,
+            };
+            (given_albedo(albedo, surface)?, initial_specular(&scene.material.specular))
         }
     };
     let (specular, blends) = initial_gloss(&scene.material.gloss, specular, surface)?;
@@ -79,8 +83,16 @@ pub fn spawn(
         world.spawn(LightMap(map));
     }
     insert_known_along(world, &scene.material.sheen, surface)?;
-    let sheen = initial_sheen(world, &albedo);
-    let tilt = initial_tilt(&scene.material.tilt, surface)?;
+    let sheen = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(&albedo));
+    let sheen = sheen.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()]);
+    let tilt = match &scene.material.tilt {
+        Tilt::Fixed(path) => {
+            let (width, height) = (surface.atlas().width, surface.atlas().height);
+            let known = texture::read_vectors(path, ["X", "Y", "Z"], width, height)?;
+            known.into_iter().map(|tilt| DiffuseTilt(tilt.clamp_length_max(MOST_TILT))).collect()
+        }
+        Tilt::Unknown | Tilt::None => vec![DiffuseTilt::default(); albedo.len()],
+    };
     spawn_texels(world, &albedo, &sheen, &tilt, &blends);
     spawn_materials(world, &specular);
     Ok(())
@@ -190,30 +202,6 @@ pub(crate) fn insert_known_along(world: &mut World, sheen: &Sheen, surface: &Sur
         }
     }
     Ok(())
-}
-
-/// The sheen of each texel that a fit starts from, or the known one, beside this albedo.
-fn initial_sheen(world: &World, albedo: &[Vec3]) -> Vec<DiffuseSheen> {
-    let known = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(albedo));
-    known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()])
-}
-
-/// The tilt of each texel: none, or the known one.
-fn initial_tilt(tilt: &Tilt, surface: &Surface) -> Result<Vec<DiffuseTilt>> {
-    let (width, height) = (surface.atlas().width, surface.atlas().height);
-    let Tilt::Fixed(path) = tilt else {
-        return Ok(vec![DiffuseTilt::default(); (width * height) as usize]);
-    };
-    let known = texture::read_vectors(path, ["X", "Y", "Z"], width, height)?;
-    Ok(known.into_iter().map(|tilt| DiffuseTilt(tilt.clamp_length_max(MOST_TILT))).collect())
-}
-
-/// The albedo of each texel that a fit starts from, or the known one.
-fn initial_albedo(albedo: &Albedo, surface: &Surface) -> Result<Vec<Vec3>> {
-    match albedo {
-        Albedo::Unknown => given_albedo(&AlbedoSource::Constant(Vec3::splat(USUAL_ALBEDO)), surface),
-        Albedo::Initial(source) | Albedo::Fixed(source) => given_albedo(source, surface),
-    }
 }
 
 fn given_albedo(source: &AlbedoSource, surface: &Surface) -> Result<Vec<Vec3>> {

@@ -21,7 +21,9 @@
 //! which goes on from the same light and albedo; then it goes back and takes the same steps as it is. Where
 //! cameras or vertices are fitted too, they move in the second half of the comparison only.
 
-use crate::pass::fit::steps::{Ended, Steps, begin_log, error_after, forget_shadows, options, take_steps};
+use crate::pass::fit::steps::{
+    Ended, Steps, Tried, begin_log, error_after, forget_shadows, options, take_steps,
+};
 use crate::pass::run::resume::{keep, resume_part};
 use crate::pass::run::session::{Chosen, Session};
 use crate::pass::show::apply_edits;
@@ -217,12 +219,7 @@ fn choose(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
 }
 
 /// The error of several materials after the same steps, or those after which it was given up, for it was [`HOPELESS`] beside that of `one`.
-fn try_several(
-    session: &mut Session,
-    pass: &FitPass,
-    before: &FitOptions,
-    one: &Steps,
-) -> Result<(f64, Option<u32>)> {
+fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions, one: &Steps) -> Result<Tried> {
     let _trying = info_span!("several materials tried").entered();
     let scene = session.scene;
     let world = &mut session.pipeline.world;

@@ -8,7 +8,7 @@
 pub(crate) mod choices;
 pub(crate) mod steps;
 
-use crate::pass::save::{RGB, write_vectors, write_weights};
+use crate::pass::save::{RGB, vector_channels, weight_channels, write_layers};
 use crate::pass::{
     export::carried_blends,
     run::session::Session,
@@ -28,9 +28,7 @@ use lobelia_geometry::mesh::atlas::{TexelAtlas, address, fill_uncovered};
 use lobelia_geometry::view::{Camera, Photograph, Split, ViewIndex, ViewName};
 use lobelia_io::codec::file::{check_finite, write_bytes};
 use lobelia_io::codec::npy::{NpyConvention, write_lobes};
-use lobelia_io::codec::{
-    envmap::write_map_exr, exr::ExrLayers, exr_frame::write_channels, png_file::write_rgb8,
-};
+use lobelia_io::codec::{envmap::write_map_exr, png_file::write_rgb8};
 use lobelia_sg::ray::TexelAddress;
 use lobelia_sg::statistics::median;
 use lobelia_solve::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
@@ -225,9 +223,18 @@ fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &S
     let marks: Vec<Vec3> = seen.iter().map(|s| Vec3::splat(if s.0 > 1e-3 { 1.0 } else { 0.0 })).collect();
     write_rgb8(folder.join("seen.png"), &preview(&marks, atlas.width, atlas.height))?;
     let materials = recovered_materials(world);
+    // The blend weights of several base materials, and the resulting roughness.
     if materials.len() > 1 {
         let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
-        write_roughness(&materials, &blends, atlas, folder)?;
+        let numbers = materials.iter().map(|(number, _)| *number);
+        write_layers(&folder.join("blend.exr"), atlas, weight_channels(&blends, numbers))?;
+        let shown: Vec<Vec3> = blends.iter().map(|blend| Vec3::from_slice(&blend.0)).collect();
+        write_rgb8(folder.join("blend.png"), &preview(&shown, atlas.width, atlas.height))?;
+        let by_number = || materials.iter().map(|(number, lobe)| (*number, lobe));
+        let roughness: Vec<f32> = blends.iter().map(|blend| blend.roughness(by_number())).collect();
+        let shown: Vec<Vec3> = roughness.iter().map(|r| Vec3::splat(*r)).collect();
+        write_rgb8(folder.join("roughness.png"), &preview(&shown, atlas.width, atlas.height))?;
+        write_layers(&folder.join("roughness.exr"), atlas, [("Y".to_owned(), roughness)])?;
     }
     write_bytes(&folder.join("materials.ron"), materials_ron(&materials, scale).as_bytes())
 }
@@ -235,7 +242,7 @@ fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &S
 /// Writes a texture as sRGB PNG and linear EXR.
 fn write_texture(path: &Path, colors: &[Vec3], atlas: &TexelAtlas) -> Result<()> {
     write_rgb8(path.with_extension("png"), &preview(colors, atlas.width, atlas.height))?;
-    write_vectors(&path.with_extension("exr"), RGB, colors, atlas)
+    write_layers(&path.with_extension("exr"), atlas, vector_channels(RGB, colors))
 }
 
 /// Writes a light to the files that [`light_files`] names.
@@ -255,27 +262,6 @@ fn write_environment(path: &Path, lobes: &[LightLobe]) -> Result<EnvironmentMap>
     let map = render_lobes(lobes, ENVIRONMENT_SIZE.0, ENVIRONMENT_SIZE.1);
     write_rgb8(path, &preview(&map.radiance, map.width, map.height))?;
     Ok(map)
-}
-
-/// Writes the blend weights of several base materials, and the resulting roughness.
-fn write_roughness(
-    materials: &[(usize, SpecularLobe)],
-    blends: &[SpecularBlend],
-    atlas: &TexelAtlas,
-    folder: &Path,
-) -> Result<()> {
-    let (width, height) = (atlas.width, atlas.height);
-    let numbers: Vec<usize> = materials.iter().map(|(number, _)| *number).collect();
-    write_weights(&folder.join("blend.exr"), blends, &numbers, atlas)?;
-    let shown: Vec<Vec3> = blends.iter().map(|blend| Vec3::from_slice(&blend.0)).collect();
-    write_rgb8(folder.join("blend.png"), &preview(&shown, width, height))?;
-    let by_number = || materials.iter().map(|(number, lobe)| (*number, lobe));
-    let roughness: Vec<f32> = blends.iter().map(|blend| blend.roughness(by_number())).collect();
-    let shown: Vec<Vec3> = roughness.iter().map(|r| Vec3::splat(*r)).collect();
-    write_rgb8(folder.join("roughness.png"), &preview(&shown, width, height))?;
-    let mut map = ExrLayers { width, height, ..ExrLayers::default() };
-    map.channels.insert("Y".to_owned(), roughness);
-    write_channels(folder.join("roughness.exr"), &map)
 }
 
 fn preview(pixels: &[Vec3], width: u32, height: u32) -> RgbImage {
@@ -350,6 +336,7 @@ fn shifts_px(world: &mut World, (center, radius): (Vec3, f32)) -> Vec<f32> {
     train.map(|(camera, pose, _)| shift((camera, pose))).collect()
 }
 
+/// Writes the cameras of the training views in PhySG's format.
 fn write_cameras(world: &mut World, folder: &Path, focal_scale: f32) -> Result<()> {
     let mut cameras: Map<String, Value> = Map::new();
     let mut views = world.query::<(&ViewName, &Camera, &CameraPose, &Split)>();
@@ -358,29 +345,26 @@ fn write_cameras(world: &mut World, folder: &Path, focal_scale: f32) -> Result<(
         let wrong = |problem| Error::run("optimizing cameras", format!("view {}: {problem}", name.0));
         camera.check().map_err(wrong)?;
         if *split == Split::Train {
-            cameras.insert(name.0.clone(), in_json(&camera));
+            let [fx, fy] = camera.focal.map(f64::from);
+            let [cx, cy] = camera.center.map(f64::from);
+            let skew = f64::from(camera.skew);
+            let k = [fx, skew, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+            let pose = camera.world_from_camera;
+            let position = Vec3::from(pose.translation).as_dvec3();
+            // The transform is rigid: its inverse has the camera's axes as rows.
+            let row = |axis: Vec3A| {
+                let axis = Vec3::from(axis).as_dvec3();
+                [axis.x, axis.y, axis.z, -axis.dot(position)]
+            };
+            let matrix = pose.matrix3;
+            let rows = [row(matrix.x_axis), row(matrix.y_axis), row(matrix.z_axis), [0.0, 0.0, 0.0, 1.0]];
+            let size = [camera.width, camera.height];
+            let camera = json!({ "K": k, "W2C": rows.as_flattened(), "img_size": size });
+            cameras.insert(name.0.clone(), camera);
         }
     }
     let text = serde_json::to_string_pretty(&cameras).map_err(|e| Error::run("cameras", e.to_string()))?;
     write_bytes(&folder.join("cam_dict_norm.json"), text.as_bytes())
-}
-
-/// A camera in PhySG's format.
-fn in_json(camera: &Camera) -> Value {
-    let [fx, fy] = camera.focal.map(f64::from);
-    let [cx, cy] = camera.center.map(f64::from);
-    let k = [fx, f64::from(camera.skew), cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-    let pose = camera.world_from_camera;
-    let position = Vec3::from(pose.translation).as_dvec3();
-    // The transform is rigid: its inverse has the camera's axes as rows.
-    let row = |axis: Vec3A| {
-        let axis = Vec3::from(axis).as_dvec3();
-        [axis.x, axis.y, axis.z, -axis.dot(position)]
-    };
-    let matrix = pose.matrix3;
-    let rows = [row(matrix.x_axis), row(matrix.y_axis), row(matrix.z_axis), [0.0, 0.0, 0.0, 1.0]];
-    let w2c = rows.as_flattened();
-    json!({ "K": k, "W2C": w2c, "img_size": [camera.width, camera.height] })
 }
 
 fn write_exposures(world: &mut World, folder: &Path) -> Result<()> {

@@ -172,16 +172,18 @@ pub(super) fn take_steps(
     Ok(Steps { summary, error, psnr, ended })
 }
 
-/// Takes steps on trial, without a log and with geometry as it is; returns the mean absolute error
-/// of radiance over the last of them, and after how many the trial was given up, if it was: it is
-/// when it is `hopeless` by their number, and by that error over enough pixels.
+/// The mean absolute error of radiance over the last steps of a trial, and after how many it was given up, if it was.
+pub(super) type Tried = (f64, Option<u32>);
+
+/// Takes steps on trial, without a log and with geometry as it is. It is given up when it is `hopeless` by their number, and by the
+/// error over enough pixels.
 pub(super) fn error_after(
     session: &mut Session,
     options: &FitOptions,
     title: &str,
     steps: u32,
     hopeless: impl Fn(u32, f64) -> bool,
-) -> Result<(f64, Option<u32>)> {
+) -> Result<Tried> {
     let (mut error, mut given_up) = (f64::INFINITY, None);
     let tells = options.early * options.batch as f32 >= TELLING_PIXELS;
     forget_shadows(&mut session.pipeline.world);

@@ -3,6 +3,7 @@
 
 use crate::pass::run::progress::Progress;
 use crate::scene::{Pass, Scene};
+use crate::survey::counted;
 use crate::survey::estimate::{estimate, memory};
 use crate::survey::look::ViewLook;
 use lobelia_geometry::error::{Error, Result};
@@ -179,10 +180,9 @@ impl Machine {
 
     /// "AMD EPYC 9354P, 2 threads, avx2, 15.6 GiB, linux x86_64".
     pub fn words(&self) -> String {
-        let threads =
-            if self.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", self.threads) };
         let memory = self.memory_mib.map(|mib| format!("{:.1} GiB", mib as f64 / 1024.0));
-        let parts = [self.processor.clone(), Some(threads), Some(self.simd.clone()), memory];
+        let parts =
+            [self.processor.clone(), Some(counted(self.threads, "thread")), Some(self.simd.clone()), memory];
         let parts = parts.into_iter().flatten().chain([self.system.clone()]);
         parts.collect::<Vec<_>>().join(", ")
     }

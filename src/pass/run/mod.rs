@@ -10,8 +10,6 @@
 //! | [`progress`] | what it says on the way |
 //! | [`summary`] | `OUT/report.html`, made of what is in the folder |
 
-#[cfg(test)]
-mod fault_tests;
 pub mod memory;
 pub mod preflight;
 pub mod progress;
@@ -19,6 +17,8 @@ pub(crate) mod record;
 pub(crate) mod resume;
 pub(crate) mod session;
 pub mod summary;
+#[cfg(test)]
+mod tests;
 
 use crate::pass::photograph::{camera_of, imagine};
 use crate::pass::{evaluate, export, fit, render, save, shape, view};
@@ -31,7 +31,7 @@ use crate::survey::{Severity, Survey, look::ViewLook, open::OpenScene};
 use lobelia_geometry::error::stop::{check_interrupted, finish_stopping, stopped_by};
 use lobelia_geometry::error::{Error, Result};
 use lobelia_geometry::view::ViewRecord;
-use lobelia_io::codec::file::{FolderLock, clear_scratch};
+use lobelia_io::codec::file::{FolderLock, check_writable, clear_scratch};
 use lobelia_io::dataset::load_notes;
 use lobelia_solve::fit::ObjectTurned;
 use lobelia_solve::shade::device::ShadingDevice;
@@ -103,7 +103,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
 
     // The scene, before anything that it names is read. Then the folder is taken.
     begun.as_ref().map_or(Ok(()), |begun| begun.check_scene(&loaded.scene))?;
-    preflight::check_output(&loaded.scene, out)?;
+    check_writable(out)?;
+    loaded.scene.passes.iter().try_for_each(|pass| check_writable(&out.join(pass.name())))?;
     preflight::check_sizes(&loaded.scene)?;
     let data = OpenScene::new(&loaded.scene)?;
     let data = data.as_ref();
@@ -129,7 +130,12 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     }
     check_interrupted()?;
     watched.check()?;
-    session.watched = watched.without(data.iter().flat_map(|data| preflight::view_files(data)));
+    // The files of views are read by now.
+    let views = data.iter().flat_map(|data| &data.views);
+    session.watched =
+        watched.without(views.flat_map(|view| {
+            view.pictures().map(|picture| picture.path).chain([view.camera_file().to_owned()])
+        }));
     session.report = Reporter::new(options.live);
 
     // The beginning, or the last checkpoint.

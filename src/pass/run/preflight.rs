@@ -3,7 +3,7 @@
 //! same checks.
 
 use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
-use crate::pass::render::{ChosenView, chosen_stems, chosen_views, film_files};
+use crate::pass::render::{chosen_stems, chosen_views, film_files};
 use crate::pass::show::{apply_edits, edits_of_nothing};
 use crate::pass::truth_files::read_fitting;
 use crate::pass::{
@@ -20,7 +20,7 @@ use bevy_ecs::prelude::World;
 use lobelia_geometry::error::{Error, Result};
 use lobelia_geometry::mesh::Surface;
 use lobelia_geometry::view::{Frame, Photograph, Split, ViewName, ViewRecord};
-use lobelia_io::codec::file::{FileUse, check_apart, check_not_among, check_writable};
+use lobelia_io::codec::file::{FileUse, check_apart, check_not_among};
 use lobelia_io::codec::{
     exr_frame::Layer, gltf::import::read_mesh, gltf::side_files, image::Gamma, nearby::closest,
 };
@@ -166,14 +166,6 @@ pub(super) fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<File
     inputs
 }
 
-/// The files of the views of a data set, which are read before the first pass and then no more.
-pub(super) fn view_files(open: &OpenScene) -> impl Iterator<Item = PathBuf> {
-    open.views.iter().flat_map(|view| {
-        let pictures = view.pictures().map(|picture| picture.path);
-        pictures.chain([view.camera_file().to_owned()])
-    })
-}
-
 /// Checks that no file that is to be written is one that a run reads, or lies among photographs or masks.
 ///
 /// # Errors
@@ -245,12 +237,6 @@ pub fn check_sizes(scene: &Scene) -> Result<()> {
     let frame = (size_of::<PixelSums>() + 4 * Frame::PIXEL_BYTES) as u64;
     let bytes = pixels * (photographs * PHOTOGRAPH_PIXEL_BYTES + frame);
     check_memory(&format!("rendering {photographs} photographs"), ring.size, ring.size, bytes)
-}
-
-/// Checks before any work that the folders of all passes can be written into.
-pub(super) fn check_output(scene: &Scene, out: &Path) -> Result<()> {
-    check_writable(out)?;
-    scene.passes.iter().try_for_each(|pass| check_writable(&out.join(pass.name())))
 }
 
 /// Checks that each placement has a training photograph, where something is fitted to them; that the
@@ -353,29 +339,25 @@ fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
         let Some(settings) = settings else { continue };
         let views = chosen_views(&mut session.pipeline.world, settings);
         let world = &session.pipeline.world;
-        views.par_iter().try_for_each(|view| check_image(world, &score.pass, &score.truth, view))?;
+        views.par_iter().try_for_each(|view| match &score.truth {
+            Truth::Photographs if world.get::<Photograph>(view.entity).is_none() => Err(Error::usage(
+                format!("pass {} is scored against photographs, but view {} has none", score.pass, view.stem),
+                "Score only views with photographs: choose them with `render: (views: …)`.",
+            )),
+            truth => truth.files().map_or(Ok(()), |files| {
+                read_fitting(&files.image(&view.name), Gamma::Srgb, &view.camera).map(drop)
+            }),
+        })?;
         // Layers are scored on the views of the first score.
         for (truth, layer) in [(&pass.albedo, Layer::Albedo), (&pass.normal, Layer::Normal)] {
             if let (0, Some(files)) = (i, truth.as_ref().and_then(LayerTruth::files)) {
                 views.par_iter().try_for_each(|view| {
-                    files.read_layer(layer, [&view.stem, &view.name], &view.camera).map(|_| ())
+                    files.read_layer(layer, [&view.stem, &view.name], &view.camera).map(drop)
                 })?;
             }
         }
     }
     Ok(())
-}
-
-fn check_image(world: &World, pass: &str, truth: &Truth, view: &ChosenView) -> Result<()> {
-    match truth {
-        Truth::Photographs if world.get::<Photograph>(view.entity).is_none() => Err(Error::usage(
-            format!("pass {pass} is scored against photographs, but view {} has none", view.stem),
-            "Score only views with photographs: choose them with `render: (views: …)`.",
-        )),
-        _ => truth.files().map_or(Ok(()), |files| {
-            read_fitting(&files.image(&view.name), Gamma::Srgb, &view.camera).map(|_| ())
-        }),
-    }
 }
 
 #[cfg(test)]

@@ -265,13 +265,7 @@ impl Claim {
         let old: BTreeSet<String> =
             all_existing(out, before.iter().flat_map(Record::listed)).into_iter().collect();
         for folder in plan.iter().flat_map(folders_of).map(|folder| out.join(folder)) {
-            if folder.symlink_metadata().is_ok_and(|found| found.is_symlink()) {
-                let problem = format!(
-                    "{} is a symbolic link: a pass would write outside the output folder",
-                    folder.display()
-                );
-                return Err(Error::usage(problem, "Remove the link, or choose another folder with --out."));
-            }
+            resume::check_no_link(&folder)?;
         }
         for file in plan.iter().flat_map(|pass| &pass.files).map(String::as_str).chain(OF_RUN) {
             let there = match file.ends_with('/') {

@@ -145,11 +145,6 @@ impl RunStart {
         }
         Ok(())
     }
-
-    /// The number that marks the checkpoints of this run.
-    fn mark(&self) -> u64 {
-        hash_of(self)
-    }
 }
 
 /// The error of a run that would go on with something else than it was begun with.
@@ -160,7 +155,7 @@ fn other(problem: impl Into<String>, remedy: &str) -> Result<()> {
 /// The head of a checkpoint, in JSON on a line of its own; the bytes of its parts follow.
 #[derive(Serialize, Deserialize)]
 struct Head {
-    /// [`RunStart::mark`] of the run.
+    /// Hash of the [`RunStart`] of the run.
     run: u64,
     /// The pass at work.
     pass: u32,
@@ -243,7 +238,7 @@ pub(super) fn take_up(
     resumed: bool,
     every: Duration,
 ) -> Result<usize> {
-    let (run, folder) = (begun.mark(), session.out.join(FOLDER));
+    let (run, folder) = (hash_of(begun), session.out.join(FOLDER));
     let (pass, state, part) = if resumed { find(&folder, run, session.progress)? } else { (0, None, None) };
     if resumed {
         let words = match session.scene.passes.get(pass as usize) {
@@ -278,10 +273,14 @@ pub(super) fn clear(out: &Path) -> Result<()> {
 
 /// Checks that checkpoints are not written somewhere else.
 pub(super) fn check_folder(out: &Path) -> Result<()> {
-    let folder = out.join(FOLDER);
+    check_no_link(&out.join(FOLDER))
+}
+
+/// Refuses a folder in the output folder that is a symbolic link.
+pub(super) fn check_no_link(folder: &Path) -> Result<()> {
     if folder.symlink_metadata().is_ok_and(|found| found.is_symlink()) {
         let problem =
-            format!("{} is a symbolic link: checkpoints would be written elsewhere", folder.display());
+            format!("{} is a symbolic link: the run would write outside the output folder", folder.display());
         return Err(Error::usage(problem, "Remove the link, or choose another folder with --out."));
     }
     Ok(())

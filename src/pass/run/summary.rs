@@ -147,17 +147,13 @@ fn worst_views(world: &mut World) -> PassViews {
 pub fn read_run(out: &Path) -> Result<RunReport> {
     let shown = out.display();
     let refuse = |problem: String, help: &str| Err(Error::usage(problem, help));
-    if !out.is_dir() {
-        let what = if is_there(out) { "is not a folder" } else { "is not there" };
-        return refuse(format!("{shown} {what}"), "Give the output folder of a run.");
-    }
     let Some(record) = Record::read(out) else {
-        if !is_there(&out.join(RUN)) {
-            let problem = format!("{shown} is not the folder of a run: it has no {RUN}");
-            return refuse(problem, "Give the output folder of a run.");
+        if is_there(&out.join(RUN)) {
+            let problem = format!("{} was not written by this version of lobelia", out.join(RUN).display());
+            return refuse(problem, "Run the scene again, with this version.");
         }
-        let problem = format!("{} was not written by this version of lobelia", out.join(RUN).display());
-        return refuse(problem, "Run the scene again, with this version.");
+        let is = if out.is_dir() { "is not the folder of a run: it has no run.json" } else { "is not there" };
+        return refuse(format!("{shown} {is}"), "Give the output folder of a run.");
     };
     if !is_there(&out.join(METRICS)) {
         let help = "Run the scene until a pass has ended; `lobelia run` writes a report after each.";
