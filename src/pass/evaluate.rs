@@ -5,9 +5,8 @@
 //! `_error.jpg`. Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files.
 
 use crate::pass::render::{ChosenView, chosen_views};
-use crate::pass::run::session::Session;
-use crate::pass::truth_files::read_covered;
-use crate::pass::view_report::{self, ScoredOutcome, outlier_share};
+use crate::pass::view_report::{ScoredOutcome, outlier_share};
+use crate::pass::{run::session::Session, truth_files::read_covered, view_report};
 use crate::report::metrics::{ImagePair, NormalAngles, albedo_psnr, coverage_iou, erode, mean};
 use crate::report::scores::{EvalView, PassScores, Scaling, ViewScores, score_views};
 use crate::report::sheet::{SheetRow, choose_evenly, write_sheet};
@@ -20,8 +19,7 @@ use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
 use lobelia_geometry::mesh::nearest::chamfer_distance;
 use lobelia_geometry::view::{Photograph, Placement, ViewMask, camera::Camera};
 use lobelia_io::codec::exr_frame::{Layer, read_frame_layers};
-use lobelia_io::codec::gltf::import::read_mesh;
-use lobelia_io::codec::image::{Gamma, image_header};
+use lobelia_io::codec::{gltf::import::read_mesh, image::Gamma, image::image_header};
 use std::path::{Path, PathBuf};
 use tracing::info_span;
 

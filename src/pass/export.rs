@@ -1,36 +1,28 @@
 //! The `Export` pass: the object as a mesh for other programs, with fewer triangles if asked, and the light
 //! beside it as environment maps.
 
-use crate::pass::{run::session::Session, show::material_of};
-use crate::report::tone::srgb8;
 use crate::scene::{ExportPass, ExportScale, ExportUp, Light, MeshFormat, Pass};
+use crate::{pass::run::session::Session, pass::show::material_of, report::tone::srgb8};
 use glam::{Mat3, Quat, Vec3};
 use image::ExtendedColorType;
-use lobelia_geometry::error::Result;
-use lobelia_geometry::mesh::atlas::{fill_uncovered, unwrap_mesh};
 use lobelia_geometry::mesh::tangents::{relative_normals, texel_frames, vertex_tangents};
-use lobelia_geometry::mesh::{Surface, decimate::decimate, nearest::NearestTriangle, triangles::Mesh};
+use lobelia_geometry::mesh::{Surface, atlas::fill_uncovered, atlas::unwrap_mesh, decimate::decimate};
 use lobelia_geometry::view::{Camera, Placement, ViewName};
-use lobelia_io::codec::gltf::material::{Dielectric, GltfReflectance, GltfTable, LobeReflectance};
+use lobelia_geometry::{error::Result, mesh::nearest::NearestTriangle, mesh::triangles::Mesh};
+use lobelia_io::codec::gltf::material::{
+    Dielectric, GltfMaterial, GltfReflectance, GltfTable, LobeReflectance,
+};
 use lobelia_io::codec::usd::{UpAxis, UsdImage, UsdInput, UsdLight, UsdMaterial, write_usda, write_usdz};
 use lobelia_io::codec::{
-    envmap::write_map_hdr, file::write_bytes, gltf::export::write_glb, gltf::material::GltfMaterial,
-    image::encode_png,
+    envmap::write_map_hdr, file::write_bytes, gltf::export::write_glb, image::encode_png,
 };
-use lobelia_sg::color::srgb_from_linear;
-use lobelia_sg::ray::Hit;
-use lobelia_sg::reflectance::ANGLES;
-use lobelia_sg::sg::sphere_integral;
+use lobelia_sg::{color::srgb_from_linear, ray::Hit, reflectance::ANGLES, sg::sphere_integral};
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
-use lobelia_world::light::{
-    EnvironmentMap, LightLobe, convention::MapConvention, lights::own_lobes, render_lobes, rotate_lobes,
-};
-use lobelia_world::material::{
-    MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, edit::MaterialState, sheen::mean_albedo,
-};
+use lobelia_world::light::{EnvironmentMap, LightLobe, lights::own_lobes, render_lobes, rotate_lobes};
+use lobelia_world::material::{MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, edit::MaterialState};
+use lobelia_world::{light::convention::MapConvention, material::sheen::mean_albedo};
 use rayon::prelude::*;
-use std::f32::consts::TAU;
-use std::sync::Arc;
+use std::{f32::consts::TAU, sync::Arc};
 
 /// Texture files of a USD file.
 const BASE_COLOR: &str = "mesh_base_color.png";
@@ -428,8 +420,7 @@ mod tests {
     use super::*;
     use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
     use lobelia_io::codec::envmap::read_map;
-    use lobelia_sg::brdf::Ndf;
-    use lobelia_sg::fibonacci::fibonacci_axes;
+    use lobelia_sg::{brdf::Ndf, fibonacci::fibonacci_axes};
     use lobelia_world::light::{lobes_power, lobes_radiance};
     use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt};
 

@@ -1,25 +1,19 @@
 //! Rendered photographs: the scene's surface with a known material under a known light, path traced. The fit does not use that knowledge.
 
-use crate::pass::run::progress::Progress;
 use crate::pass::show::{apply_edits, set_shading, spawn_edits};
 use crate::scene::{CameraRing, CameraSpec, Edit, Pattern, Photographed, RenderSettings, Scene, Shading};
-use crate::spawn::{LoadedLight, light::rotation, load_light};
+use crate::{pass::run::progress::Progress, spawn::LoadedLight, spawn::light::rotation, spawn::load_light};
 use glam::{Mat3, Vec3};
-use lobelia_geometry::error::{Result, stop::check_interrupted};
-use lobelia_geometry::mesh::Surface;
-use lobelia_geometry::view::{
-    Frame, Image, Mask, Photograph, Placement, Split, StoredMask, ViewRecord, camera::Camera,
-};
-use lobelia_sg::fibonacci::fibonacci_axes;
-use lobelia_sg::ray::Intersect;
+use lobelia_geometry::view::{Frame, Image, Mask, Photograph, Placement, Split, StoredMask, ViewRecord};
+use lobelia_geometry::{error::Result, error::stop::check_interrupted, mesh::Surface, view::camera::Camera};
+use lobelia_sg::{fibonacci::fibonacci_axes, ray::Intersect};
 use lobelia_solve::shade::frame::{FramePlugin, render_frame, resolve};
 use lobelia_world::light::lights::{LightChoice, provide_light, spawn_light};
 use lobelia_world::light::placement::{LightGroup, PicturePlacement};
-use lobelia_world::light::{LightLobe, light_frame::LightFrame};
 use lobelia_world::material::shown::{show_edited, spawn_material};
 use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, edit::MaterialState};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
-use lobelia_world::sample::point::Scenery;
+use lobelia_world::{light::LightLobe, light::light_frame::LightFrame, sample::point::Scenery};
 use std::sync::Arc;
 
 /// Name of the light and the edits of the true object.

@@ -1,8 +1,8 @@
 //! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that `show` swaps
 //! in, as views and as films, in which camera, light and material change.
 
+use crate::pass::run::{progress::Bar, session::Session};
 use crate::pass::show::{camera_rays, chosen_light, show, show_placement};
-use crate::pass::{run::progress::Bar, run::session::Session};
 use crate::report::tone::{Backdrop, Look, Picture, write_png_rows};
 use crate::scene::{
     Easing, LightSweep, MaterialSweep, Orbit, OrbitKey, Pass, RenderSettings, Shading, ViewChoice,
@@ -11,23 +11,17 @@ use bevy_ecs::prelude::{Component, Entity, With, World};
 use glam::{Quat, Vec3};
 use image::RgbImage;
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
-use lobelia_geometry::view::camera::{self, Camera};
-use lobelia_geometry::view::{Frame, Split, ViewName};
+use lobelia_geometry::view::{Frame, Split, ViewName, camera, camera::Camera};
 use lobelia_io::codec::film::{FFMPEG, write_film};
 use lobelia_io::codec::{exr_frame::write_frame_rows, file::file_stems, png_file::write_rgb8};
 use lobelia_sg::color::srgb_from_linear;
-use lobelia_solve::shade::adaptive::render_adaptive;
-use lobelia_solve::shade::frame::{band_rows, render_bands};
+use lobelia_solve::shade::{adaptive::render_adaptive, frame::band_rows, frame::render_bands};
 use lobelia_world::light::lights::{IncidentLight, provide_turned_light};
-use lobelia_world::light::placement::PicturePlacement;
 use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditTarget};
-use lobelia_world::material::shown::show_edited;
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
-use lobelia_world::sample::despawn_pool;
+use lobelia_world::{light::placement::PicturePlacement, material::shown::show_edited, sample::despawn_pool};
 use rayon::prelude::*;
-use std::collections::HashMap;
-use std::path::{Path, PathBuf};
-use std::sync::mpsc::sync_channel;
+use std::{collections::HashMap, path::Path, path::PathBuf, sync::mpsc::sync_channel};
 use tracing::info_span;
 
 /// Stem of the files of a film.

@@ -4,26 +4,20 @@ use crate::pass::{photograph::ring, run::session::Session, show::material_of};
 use crate::scene::{
     Albedo, AlbedoSource, Dataset, Gloss, Light, LightSource, Material, Pass, PlacementLight, PlacementSpec,
     Roughness, SavePass, Scene, Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt, Views,
-    load::to_ron,
 };
-use crate::spawn::light::{angles, inlined};
+use crate::{scene::load::to_ron, spawn::light::angles, spawn::light::inlined};
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::atlas::TexelAtlas;
+use lobelia_geometry::{error::Error, error::Result, mesh::atlas::TexelAtlas};
 use lobelia_io::codec::file::{read_bytes, write_bytes};
-use lobelia_io::codec::npy::{NpyConvention, write_lobes};
-use lobelia_io::codec::{
-    exr::ExrLayers, exr_frame::write_channels, gltf::export::write_glb, nearby::missing_file_help,
-};
-use lobelia_io::dataset::Priors;
+use lobelia_io::codec::{exr::ExrLayers, nearby::missing_file_help, npy::NpyConvention, npy::write_lobes};
+use lobelia_io::{codec::exr_frame::write_channels, codec::gltf::export::write_glb, dataset::Priors};
 use lobelia_solve::fit::cameras::CameraFit;
 use lobelia_world::light::placement::{PlacementTurn, Placements, TurnSource};
 use lobelia_world::light::{
     LightLobe, groups::lobes_of_group, light_frame::OwnLightFrame, lights::own_lobes,
 };
-use lobelia_world::material::{
-    SpecularBlend, SpecularLobe, edit::MaterialState, sheen::has_sheen, tilt::has_tilt,
-};
+use lobelia_world::material::sheen::has_sheen;
+use lobelia_world::material::{SpecularBlend, SpecularLobe, edit::MaterialState, tilt::has_tilt};
 use std::path::{Path, PathBuf};
 
 /// Channels of colors.

@@ -1,44 +1,30 @@
 //! The `Shape` pass: recovers an unknown surface from photographs and masks, and replaces the visual hull by it.
 
-use crate::pass::run::progress::{Moment, Progress};
-use crate::pass::run::session::{Placed, Session};
-use crate::pass::{fit::steps::closed_form, fit::write_views};
+use crate::pass::{fit::steps::closed_form, fit::write_views, run::session::Placed, run::session::Session};
 use crate::scene::{GridLevel, ShapePass, Surface as SurfaceSpec};
-use crate::spawn::insert_known_along;
+use crate::{pass::run::progress::Moment, pass::run::progress::Progress, spawn::insert_known_along};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use image::{Rgb, RgbImage};
-use lobelia_geometry::error::stop::{finish_stopping, is_stopping};
-use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_stopping};
 use lobelia_geometry::mesh::{Surface, atlas::unwrap_mesh, triangles::Mesh};
-use lobelia_geometry::sdf::{extract::extract_mesh, volume::SdfSurface};
-use lobelia_geometry::view::{AlbedoMap, Camera};
+use lobelia_geometry::{sdf::extract::extract_mesh, sdf::volume::SdfSurface, view::AlbedoMap, view::Camera};
 use lobelia_io::codec::{gltf::export::write_glb, png_file::write_rgb8};
-use lobelia_sg::accurate::Quality;
-use lobelia_sg::ray::{Hit, Intersect};
+use lobelia_sg::{accurate::Quality, ray::Hit, ray::Intersect};
 use lobelia_solve::fit::exposure::{ExposureChoice, Exposures};
 use lobelia_solve::fit::guard::{check_numbers, check_parameters};
 use lobelia_solve::fit::run::{FitOptions, Initialize};
 use lobelia_solve::fit::scale::{ScaleRule, start_scale};
-use lobelia_solve::fit::{
-    components::Unknowns, groups::forget_visibility, observe::PixelChoice, roughness::TexelPlaces,
-};
-use lobelia_solve::shape::field::{ModelError, SdfField};
-use lobelia_solve::shape::run::{
-    HullReport, ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, refine_by_mirror, refine_by_outlines,
-    refine_by_stereo, replace_texels, training_silhouettes,
-};
+use lobelia_solve::fit::{groups::forget_visibility, observe::PixelChoice, roughness::TexelPlaces};
 use lobelia_solve::shape::{
-    hull::extract_parts, mirror::rounds as mirror_rounds, stereo::rounds as stereo_rounds,
-    systems::ShapeSchedule,
+    field::ModelError, field::SdfField, mirror::rounds as mirror_rounds, run::HullReport, run::ShapeLevel,
+    run::ShapeOptions, run::ShapeProgress, run::fit_shape, run::refine_by_mirror, run::refine_by_outlines,
+    run::refine_by_stereo, run::replace_texels, run::training_silhouettes, stereo::rounds as stereo_rounds,
 };
-use lobelia_world::material::recovered_albedo;
-use lobelia_world::sample::point::Scenery;
+use lobelia_solve::{fit::components::Unknowns, shape::hull::extract_parts, shape::systems::ShapeSchedule};
+use lobelia_world::{material::recovered_albedo, sample::point::Scenery};
 use rayon::prelude::*;
-use std::ops::ControlFlow;
-use std::path::Path;
-use std::sync::Arc;
-use std::time::Instant;
+use std::{ops::ControlFlow, path::Path, sync::Arc, time::Instant};
 use tracing::info_span;
 
 /// Steps between two redistancings.

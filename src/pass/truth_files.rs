@@ -2,12 +2,10 @@
 
 use crate::scene::{TruthFiles, VIEW};
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::{Image, camera::Camera};
+use lobelia_geometry::{error::Error, error::Result, view::Image, view::camera::Camera};
 use lobelia_io::codec::exr_frame::Layer;
 use lobelia_io::codec::image::{Gamma, IMAGE_EXTENSIONS, Orientation, image_header, read_image};
-use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
+use std::{ops::RangeInclusive, path::Path, path::PathBuf};
 
 /// Lengths between which a normal of a PNG is known. Its components are rounded and averaged over a pixel, and one that is black
 /// may be negative.
@@ -135,12 +133,9 @@ fn fit(path: &Path, image: Image, camera: &Camera) -> Result<Vec<Vec3>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::metrics::ImagePair;
-    use crate::report::metrics::NormalAngles;
+    use crate::report::metrics::{ImagePair, NormalAngles};
     use image::{Rgb, RgbImage};
-    use lobelia_io::codec::exr::ExrLayers;
-    use lobelia_io::codec::exr_frame::write_channels;
-    use lobelia_io::codec::png_file::write_rgb8;
+    use lobelia_io::codec::{exr::ExrLayers, exr_frame::write_channels, png_file::write_rgb8};
 
     fn camera(size: u32) -> Camera {
         Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 40.0, size, size).unwrap()

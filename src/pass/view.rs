@@ -1,11 +1,10 @@
 //! The `View` pass: a page that shows the object in a browser, with small photographs, of which only the part that shows the object.
 
 use crate::page::{Contents, PageCamera, PageLight, PagePhotograph, html, upright};
-use crate::pass::{run::session::Session, show::material_of};
-use crate::report::sheet::choose_evenly;
+use crate::pass::run::session::Session;
 use crate::report::tone::{Picture, jpeg_address, side_within, thumbnail_jpeg, thumbnail_mask};
 use crate::scene::{Pass, ViewPass, load::edit_to_ron};
-use crate::survey::counted;
+use crate::{pass::show::material_of, report::sheet::choose_evenly, survey::counted};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use image::{GrayImage, Luma};
@@ -14,11 +13,9 @@ use lobelia_geometry::view::{
     Camera, Photograph, PixelWindow, Placement, Split, ViewIndex, ViewMask, ViewName,
 };
 use lobelia_io::codec::file::write_bytes;
-use lobelia_solve::fit::exposure::Exposures;
-use lobelia_solve::visibility::ObjectVisibility;
+use lobelia_solve::{fit::exposure::Exposures, visibility::ObjectVisibility};
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
-use lobelia_world::light::placement::{LightGroup, Placements};
-use lobelia_world::light::{LightLobe, lights::own_lobes};
+use lobelia_world::light::{LightLobe, lights::own_lobes, placement::LightGroup, placement::Placements};
 use std::path::Path;
 
 /// The page's file name.

@@ -1,21 +1,17 @@
 //! How each view came out, and what went wrong: `views.csv`, and the warnings of `metrics.json`.
 
-use crate::pass::run::session::Session;
 use crate::report::scores::{EvalView, ViewOutcome};
-use crate::survey::named;
+use crate::{pass::run::session::Session, survey::named};
 use bevy_ecs::prelude::{Entity, With};
-use lobelia_geometry::error::Result;
-use lobelia_geometry::mesh::Surface;
 use lobelia_geometry::view::{Camera, Photograph, Split, StoredMask, ViewIndex, ViewMask, ViewName};
+use lobelia_geometry::{error::Result, mesh::Surface};
 use lobelia_io::codec::file::write_bytes;
 use lobelia_sg::statistics::median;
-use lobelia_solve::fit::guard::StepGuard;
-use lobelia_solve::fit::loss::{ViewSum, ViewSums, is_outlier};
+use lobelia_solve::fit::{guard::StepGuard, loss::ViewSum, loss::ViewSums, loss::is_outlier};
 use lobelia_world::light::{LightLobe, groups::other_lights, lights::own_lobes};
 use rayon::prelude::*;
-use std::collections::{HashMap, HashSet};
 use std::fmt::Write as _;
-use std::path::Path;
+use std::{collections::HashMap, collections::HashSet, path::Path};
 
 /// The report, in the folder of an `Evaluate`.
 pub const VIEWS: &str = "views.csv";

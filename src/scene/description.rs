@@ -3,15 +3,12 @@
 //! Unless a field says otherwise, lengths are in the data set's own unit, colors are linear Rec. 709 and
 //! paths may begin with `$DATA` (the folder given by `--data`) or are relative to the scene file.
 
-use crate::scene::Pass;
-use crate::scene::Views;
+use crate::scene::{Pass, Views};
 use glam::Vec3;
 use lobelia_io::codec::npy::NpyConvention;
 use lobelia_sg::brdf::Ndf;
 use lobelia_solve::fit::scale::ScaleRule;
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::convention::MapConvention;
-use lobelia_world::light::light_frame::LightFrame;
+use lobelia_world::light::{LightLobe, convention::MapConvention, light_frame::LightFrame};
 use lobelia_world::material::SpecularLobe;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

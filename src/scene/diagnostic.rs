@@ -4,9 +4,7 @@ use crate::scene::ron_tree::{Body, Node, SyntaxError};
 use lobelia_geometry::error::{Error, Fault, Label, SceneDiagnostic};
 use lobelia_io::codec::nearby::closest;
 use ron::error::{Error as Ron, Position, SpannedError};
-use std::ops::Range;
-use std::path::Path;
-use std::sync::Arc;
+use std::{ops::Range, path::Path, sync::Arc};
 
 /// A value of a scene file that is of the right type and yet wrong.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,11 +1,7 @@
 //! Reading a scene file: `--set`, parsing, paths and checks, each error with a caret. Nothing is written.
 
-use crate::scene::Edit;
 use crate::scene::diagnostic::{Problem, SceneText};
-use crate::scene::ron_tree::{self, Node};
-use crate::scene::source::set;
-use crate::scene::validate::check;
-use crate::scene::{Scene, VERSION};
+use crate::scene::{Edit, Scene, VERSION, ron_tree, ron_tree::Node, source::set, validate::check};
 use lobelia_geometry::{Error, Result};
 use lobelia_io::codec::file::{FileKind, MOST_TEXT, obstacle, read_text};
 use ron::extensions::Extensions;

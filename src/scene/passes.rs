@@ -1,11 +1,8 @@
 //! Entries of a scene file's `passes` list.
 
-use crate::scene::{Edit, RenderSettings};
-use crate::scene::{LightSource, number};
+use crate::scene::{Edit, LightSource, RenderSettings, number};
 use lobelia_sg::accurate::Quality;
-use lobelia_solve::fit::cameras::CameraUnknowns;
-use lobelia_solve::fit::exposure::ExposureChoice;
-use lobelia_solve::fit::loss::Loss;
+use lobelia_solve::fit::{cameras::CameraUnknowns, exposure::ExposureChoice, loss::Loss};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 

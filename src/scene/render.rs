@@ -1,7 +1,6 @@
 //! How a pass renders: which views and shading, how the pictures look, films, and edits of the material.
 
-use crate::report::tone::Tone;
-use crate::scene::{number, yes};
+use crate::{report::tone::Tone, scene::number, scene::yes};
 use glam::Vec3;
 use lobelia_sg::accurate::Quality;
 use serde::{Deserialize, Serialize};

@@ -4,17 +4,15 @@
 use crate::scene::{Light, LightSource, load::options};
 use glam::{EulerRot, Quat, Vec3};
 use lobelia_geometry::error::{Error, Result, stop::is_stopping};
-use lobelia_io::codec::envmap::{read_map_with_notes, write_map_exr};
 use lobelia_io::codec::npy::{NpyConvention, read_lobes, write_lobes};
-use lobelia_io::codec::{file, file::check_finite};
+use lobelia_io::codec::{envmap::read_map_with_notes, envmap::write_map_exr, file, file::check_finite};
 use lobelia_world::light::map_fit::{MOST_FITTED, MapFit, fit_map_with, target_of};
 use lobelia_world::light::{
     EnvironmentMap, LightLobe, convention::MapConvention, illuminate::MapLight, render_lobes, rotate_lobes,
     scale_lobes, validate_lobes, validate_map,
 };
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::{path::Path, path::PathBuf, sync::Arc};
 
 /// A light ready to shade with: lobes for closed forms, and the thing itself for path tracing.
 #[derive(Clone)]

@@ -11,29 +11,21 @@ use crate::scene::{
 use crate::spawn::light::rotation;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
-use lobelia_geometry::mesh::{Surface, atlas::unwrap_mesh};
-use lobelia_geometry::view::{Split, ViewRecord, spawn_views};
+use lobelia_geometry::mesh::{Surface, atlas::unwrap_mesh, primitive::box_mesh, primitive::sphere_mesh};
+use lobelia_geometry::{error::Error, error::Result, view::Split, view::ViewRecord, view::spawn_views};
 use lobelia_io::codec::{gltf::import::read_mesh_with_report, gltf::material::read_material, texture};
 use lobelia_sg::brdf::Ndf;
-use lobelia_solve::fit::components::Unknowns;
-use lobelia_solve::fit::priors::{NormalMapPlugin, NormalWeight};
-use lobelia_solve::fit::roughness::{BASE_ROUGHNESSES, TexelRoughness};
-use lobelia_solve::shape::{
-    hull::{check_hull, extract_parts, visual_hull},
-    silhouette::Silhouette,
-};
+use lobelia_solve::fit::{components::Unknowns, roughness::BASE_ROUGHNESSES, roughness::TexelRoughness};
+use lobelia_solve::shape::hull::{check_hull, extract_parts, visual_hull};
+use lobelia_solve::{fit::priors::NormalMapPlugin, fit::priors::NormalWeight, shape::silhouette::Silhouette};
 use lobelia_world::light::placement::{LightGroup, PlacementTurn, Placements, TurnSource};
 use lobelia_world::light::{groups::spawn_group_lights, light_frame::OwnLightFrame, lights::LightMap};
 use lobelia_world::material::{
     DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, USUAL_ALBEDO, sheen::KnownAlong, spawn_materials,
     spawn_texels, tilt::MOST_TILT,
 };
-use lobelia_world::pipeline::Pipeline;
-use lobelia_world::sample::point::Scenery;
-use std::path::Path;
-use std::sync::Arc;
+use lobelia_world::{pipeline::Pipeline, sample::point::Scenery};
+use std::{path::Path, sync::Arc};
 
 /// Puts the scene into the pipeline's world: surface, views, light lobes, texels, the specular lobe, and what is unknown.
 ///

@@ -24,24 +24,21 @@
 use crate::pass::fit::steps::{
     Ended, Steps, Tried, begin_log, error_after, forget_shadows, options, take_steps,
 };
-use crate::pass::run::resume::{keep, resume_part};
-use crate::pass::run::session::{Chosen, Session};
-use crate::pass::show::apply_edits;
+use crate::pass::run::{resume::keep, resume::resume_part, session::Chosen, session::Session};
 use crate::report::scores::{MaterialsTried, NdfTried, given_up_words};
 use crate::scene::{Albedo, FitPass, Gloss, Light, NdfChoice, SpecularAlbedo, uses_published};
-use crate::spawn::{initial_lobes, several_materials};
+use crate::{pass::show::apply_edits, spawn::initial_lobes, spawn::several_materials};
 use bevy_ecs::prelude::{Entity, With, World};
 use glam::Vec3;
-use lobelia_geometry::error::stop::{finish_stopping, is_stopping};
-use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_stopping};
 use lobelia_sg::brdf::Ndf;
 use lobelia_solve::fit::run::{Done, FitOptions, FitSummary, Initialize};
-use lobelia_world::checkpoint::{self, Span};
 use lobelia_world::light::{LightLobe, groups::FittedLobe, light_frame::OwnLightFrame};
 use lobelia_world::material::{
     BaseMaterial, SpecularBlend, SpecularLobe, TexelIndex, first_material, recovered_materials,
     replace_materials, sheen::write_albedo, shown::recovered_material,
 };
+use lobelia_world::{checkpoint, checkpoint::Span};
 use std::time::Instant;
 use tracing::info_span;
 

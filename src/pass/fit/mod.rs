@@ -9,53 +9,40 @@ pub(crate) mod choices;
 pub(crate) mod steps;
 
 use crate::pass::save::{RGB, vector_channels, weight_channels, write_layers};
-use crate::pass::{
-    export::carried_blends,
-    run::session::Session,
-    view_report::{csv_entry, note_fit},
-};
+use crate::pass::view_report::{csv_entry, note_fit};
 use crate::report::{scores::ScaleFound, tone::srgb8};
 use crate::scene::{FitPass, Gloss, Tilt, Views};
-use crate::spawn::initial_specular;
+use crate::{pass::export::carried_blends, pass::run::session::Session, spawn::initial_specular};
 use bevy_ecs::prelude::{With, World};
 use choices::take_steps_and_choose;
 use glam::{Vec2, Vec3, Vec3A};
 use image::{Rgb, RgbImage};
-use lobelia_geometry::error::stop::{finish_stopping, is_stopping};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::Surface;
-use lobelia_geometry::mesh::atlas::{TexelAtlas, address, fill_uncovered};
+use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_stopping};
+use lobelia_geometry::mesh::{Surface, atlas::TexelAtlas, atlas::address, atlas::fill_uncovered};
 use lobelia_geometry::view::{Camera, Photograph, Split, ViewIndex, ViewName};
 use lobelia_io::codec::file::{check_finite, write_bytes};
-use lobelia_io::codec::npy::{NpyConvention, write_lobes};
-use lobelia_io::codec::{envmap::write_map_exr, png_file::write_rgb8};
-use lobelia_sg::ray::TexelAddress;
-use lobelia_sg::statistics::median;
+use lobelia_io::codec::{envmap::write_map_exr, npy::NpyConvention, npy::write_lobes, png_file::write_rgb8};
+use lobelia_sg::{ray::TexelAddress, statistics::median};
 use lobelia_solve::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
+use lobelia_solve::fit::components::TexelSeen;
 use lobelia_solve::fit::detail::{DetailOptions, finest_side, solve_detail, visited_pixels};
 use lobelia_solve::fit::exposure::{ExposureChoice, Exposures};
 use lobelia_solve::fit::roughness::{RoughnessPrior, TexelRoughness, attach_roughness};
 use lobelia_solve::fit::run::{FitOptions, FitSummary, Initialize, optimizer_of_texel_roughness};
 use lobelia_solve::fit::scale::{ScaleRule, means};
-use lobelia_solve::fit::{
-    components::TexelSeen, groups::forget_visibility, guard::check_parameters, observe::release_pool,
-};
+use lobelia_solve::fit::{groups::forget_visibility, guard::check_parameters, observe::release_pool};
 use lobelia_world::light::{
     EnvironmentMap, LightLobe, groups::other_lights, lights::own_lobes, render_lobes,
 };
-use lobelia_world::material::sheen::{KnownAlong, has_sheen, write_albedo};
 use lobelia_world::material::{
     DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
-    recovered_materials, texels_in_order, tilt::has_tilt,
+    recovered_materials, sheen::KnownAlong, sheen::has_sheen, sheen::write_albedo, texels_in_order,
 };
 use lobelia_world::pipeline::pool::{despawn_rows, read_column, write_column};
-use lobelia_world::pipeline::{Phase, Slot};
-use lobelia_world::sample::point::Scenery;
+use lobelia_world::{material::tilt::has_tilt, pipeline::Phase, pipeline::Slot, sample::point::Scenery};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
-use std::path::Path;
-use std::sync::Arc;
-use std::time::Instant;
+use std::{path::Path, sync::Arc, time::Instant};
 use steps::{begin_log, take_log};
 use tracing::info_span;
 

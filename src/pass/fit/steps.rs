@@ -1,26 +1,21 @@
 //! The steps of a `Fit`: its settings, its log, and the geometry that moves with it.
 
-use crate::pass::{run::progress::Moment, run::session::Session};
+use crate::pass::run::{progress::Moment, session::Session};
 use crate::scene::{FitPass, FitShading, Sheen};
 use bevy_ecs::prelude::{Resource, World};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
-use lobelia_geometry::error::stop::{finish_stopping, is_stopping};
-use lobelia_sg::accurate::Quality;
-use lobelia_sg::shading::ClosedForm;
+use lobelia_geometry::error::{Result, stop::finish_stopping, stop::is_stopping};
+use lobelia_sg::{accurate::Quality, shading::ClosedForm};
 use lobelia_solve::fit::cameras::{CameraPlugin, CameraUnknowns};
 use lobelia_solve::fit::groups::{forget_group_shadows, forget_visibility};
 use lobelia_solve::fit::guard::{check_numbers, check_parameters};
 use lobelia_solve::fit::run::{Done, EARLY, FitOptions, FitProgress, FitSummary, may_pause, run_fit};
-use lobelia_solve::fit::{observe::PixelChoice, roughness::TexelPlaces};
-use lobelia_solve::shape::run::training_silhouettes;
-use lobelia_solve::shape::vertices::{MovingMesh, VertexPlugin};
-use lobelia_solve::visibility::ObjectVisibility;
+use lobelia_solve::shape::{run::training_silhouettes, vertices::MovingMesh, vertices::VertexPlugin};
+use lobelia_solve::{fit::observe::PixelChoice, fit::roughness::TexelPlaces, visibility::ObjectVisibility};
 use lobelia_world::checkpoint::{Span, is_due, keep_resource};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
-use std::ops::ControlFlow;
-use std::sync::Arc;
+use std::{ops::ControlFlow, sync::Arc};
 
 /// Pixels of a step from which the error of twenty tells that a trial is hopeless.
 const TELLING_PIXELS: f32 = 500.0;

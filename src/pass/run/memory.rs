@@ -1,17 +1,12 @@
 //! The memory that a run may take: known before it begins, and kept by smaller pools or refused; and the
 //! machine that it works on.
 
-use crate::pass::run::progress::Progress;
-use crate::scene::{Pass, Scene};
-use crate::survey::counted;
-use crate::survey::estimate::{estimate, memory};
-use crate::survey::look::ViewLook;
+use crate::survey::{counted, estimate::estimate, estimate::memory, look::ViewLook};
+use crate::{pass::run::progress::Progress, scene::Pass, scene::Scene};
 use lobelia_geometry::error::{Error, Result};
 use lobelia_sg::lanes::level_name;
 use serde::{Deserialize, Serialize};
-use std::borrow::Cow;
-use std::fs::read_to_string;
-use std::path::{Path, PathBuf};
+use std::{borrow::Cow, fs::read_to_string, path::Path, path::PathBuf};
 
 /// Share of the memory that a process may have which a run takes if nothing else is said.
 const USUAL_SHARE: f64 = 0.75;
@@ -198,8 +193,7 @@ fn processor_in(text: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pass::run::progress::Silent;
-    use crate::scene::{LoadOptions, load};
+    use crate::{pass::run::progress::Silent, scene::LoadOptions, scene::load};
     use std::fs::{create_dir_all, write};
 
     #[test]

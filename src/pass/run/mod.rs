@@ -23,18 +23,15 @@ mod tests;
 use crate::pass::photograph::{camera_of, imagine};
 use crate::pass::{evaluate, export, fit, render, save, shape, view};
 use crate::scene::{
-    CameraSpec, LightSource, Pass, Scene, Surface as SurfaceSpec, ViewPass, Views, load::LoadedScene,
-    unknown_parts,
+    CameraSpec, LightSource, Pass, Scene, Surface as SurfaceSpec, ViewPass, Views, unknown_parts,
 };
-use crate::spawn::{SurfaceUse, load_light};
 use crate::survey::{Severity, Survey, look::ViewLook, open::OpenScene};
+use crate::{scene::load::LoadedScene, spawn::SurfaceUse, spawn::load_light};
 use lobelia_geometry::error::stop::{check_interrupted, finish_stopping, stopped_by};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::ViewRecord;
+use lobelia_geometry::{error::Error, error::Result, view::ViewRecord};
 use lobelia_io::codec::file::{FolderLock, check_writable, clear_scratch};
 use lobelia_io::dataset::load_notes;
-use lobelia_solve::fit::ObjectTurned;
-use lobelia_solve::shade::device::ShadingDevice;
+use lobelia_solve::{fit::ObjectTurned, shade::device::ShadingDevice};
 use lobelia_world::checkpoint::Checkpoints;
 use preflight::Watched;
 use progress::{Moment, Progress, RecordedMessages};
@@ -42,9 +39,7 @@ use rayon::prelude::*;
 use record::{Claim, RunRecord, RunState};
 use resume::RunStart;
 use session::Session;
-use std::borrow::Cow;
-use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::{borrow::Cow, path::Path, path::PathBuf, time::Duration};
 use summary::Reporter;
 use tracing::info_span;
 

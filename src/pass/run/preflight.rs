@@ -2,36 +2,27 @@
 //! missing ground truth is an error at the start, not after a long fit. `lobelia check` makes the
 //! same checks.
 
-use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
-use crate::pass::render::{chosen_stems, chosen_views, film_files};
-use crate::pass::show::{apply_edits, edits_of_nothing};
-use crate::pass::truth_files::read_fitting;
 use crate::pass::{
-    evaluate::PARTS, export, photograph::ring, run::record::PassRecord, run::session::Session, view::PAGE,
-    view_report::VIEWS,
+    evaluate::PARTS, export, fit::TRUE_ENVIRONMENT, fit::light_files, photograph::ring, render::chosen_stems,
+    render::chosen_views, render::film_files, run::record::PassRecord, run::session::Session,
+    show::apply_edits, show::edits_of_nothing, truth_files::read_fitting, view::PAGE, view_report::VIEWS,
 };
 use crate::scene::{
     EvaluatePass, Gloss, LayerTruth, Light, LightSource, Pass, PlacementLight, RenderPass, RenderSettings,
     Scene, Truth, TruthFiles, ViewChoice, Views, load::LoadedScene,
 };
-use crate::spawn::light::{files_of, inlined};
-use crate::survey::open::OpenScene;
+use crate::{spawn::light::files_of, spawn::light::inlined, survey::open::OpenScene};
 use bevy_ecs::prelude::World;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::Surface;
 use lobelia_geometry::view::{Frame, Photograph, Split, ViewName, ViewRecord};
+use lobelia_geometry::{error::Error, error::Result, mesh::Surface};
 use lobelia_io::codec::file::{FileUse, check_apart, check_not_among};
-use lobelia_io::codec::{
-    exr_frame::Layer, gltf::import::read_mesh, gltf::side_files, image::Gamma, nearby::closest,
-};
+use lobelia_io::codec::gltf::import::read_mesh;
+use lobelia_io::codec::{exr_frame::Layer, gltf::side_files, image::Gamma, nearby::closest};
 use lobelia_solve::fit::{cameras::CameraUnknowns, exposure::ExposureChoice};
 use lobelia_solve::shade::frame::{PixelSums, check_memory};
 use lobelia_world::material::{SpecularBlend, shown::recovered_material};
 use rayon::prelude::*;
-use std::collections::BTreeSet;
-use std::fs;
-use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::{collections::BTreeSet, fs, path::Path, path::PathBuf, time::SystemTime};
 
 /// The manifest of a run, in its output folder.
 pub(crate) const RUN: &str = "run.json";

@@ -2,22 +2,16 @@
 //! `--force` tells its own files from others.
 
 use crate::pass::run::preflight::{RUN, check_outputs, inputs, outputs};
-use crate::pass::run::resume::{self, RunStart};
-use crate::pass::{run::RunOptions, run::memory::Machine, run::session::METRICS};
+use crate::pass::run::{RunOptions, memory::Machine, resume, resume::RunStart, session::METRICS};
 use crate::report::{html::REPORT, scores::peak_rss_mib};
-use crate::scene::load::LoadedScene;
-use crate::survey::open::OpenScene;
+use crate::{scene::load::LoadedScene, survey::open::OpenScene};
 use lobelia_geometry::error::{Error, Result};
 use lobelia_io::codec::file::{
     FileUse, FolderLock, LOCK, MOST_TEXT, check_apart, clear_scratch, is_there, is_unfinished, read_text,
     write_bytes,
 };
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
-use std::ffi::OsStr;
-use std::fs;
-use std::path::{Component, Path, PathBuf};
-use std::time::Instant;
+use std::{collections::BTreeSet, ffi::OsStr, fs, path::Component, path::Path, path::PathBuf, time::Instant};
 
 const PROGRAM: &str = "lobelia";
 

@@ -3,31 +3,20 @@
 //! The manifest says with what the run was begun. `OUT/.checkpoint` has `pass.state` for the beginning of the pass at work, unless
 //! that is the first, and `part.state` for the last part of it that was done. A file counts if it is whole and of this run.
 
-use crate::pass::run::progress::Progress;
 use crate::pass::run::session::{PassState, Session};
-use crate::report::scores::Scores;
-use crate::scene::Scene;
 use crate::spawn::{insert_known_along, several_materials};
-use crate::survey::open::OpenScene;
+use crate::{pass::run::progress::Progress, report::scores::Scores, scene::Scene, survey::open::OpenScene};
 use glam::Vec3;
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
 use lobelia_geometry::mesh::{Surface, triangles::Mesh};
 use lobelia_io::codec::file::{clear_scratch, is_there, read_bytes, read_parts, write_file};
 use lobelia_solve::shape::run::replace_texels;
-use lobelia_world::checkpoint::{
-    self, Checkpoints, ResumePoint, Saved, Span, keep_part, keep_pass, take_part,
-};
-use lobelia_world::material::replace_materials;
-use lobelia_world::sample::point::Scenery;
+use lobelia_world::checkpoint::{Checkpoints, ResumePoint, Saved, Span, keep_part, keep_pass, take_part};
+use lobelia_world::{checkpoint, material::replace_materials, sample::point::Scenery};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
-use std::fmt::Debug;
-use std::fs;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::time::Duration;
+use std::{collections::BTreeMap, fmt::Debug, fs, path::Path, path::PathBuf, sync::Arc, time::Duration};
 
 /// The folder of checkpoints, in the output folder.
 const FOLDER: &str = ".checkpoint";

@@ -1,26 +1,22 @@
 //! State that the passes of one run share.
 
-use crate::pass::photograph::{self, TrueObject};
 use crate::pass::run::preflight::{Watched, check_cameras, check_passes};
-use crate::pass::{run::RunOptions, run::progress::Progress, run::summary::Reporter};
+use crate::pass::run::progress::Progress;
+use crate::pass::{photograph, photograph::TrueObject, run::RunOptions, run::summary::Reporter};
 use crate::report::scores::{FrameTried, PlacementFound, Scores, peak_rss_mib};
 use crate::scene::{Albedo, Light, LightSource, Pass, PlacementLight, Scene, Views, Visibility};
 use crate::spawn::{LoadedLight, SurfaceUse, light::angles, load_light, make_surface, spawn, unknowns};
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
-use lobelia_geometry::mesh::Surface;
-use lobelia_geometry::view::ViewRecord;
+use lobelia_geometry::{mesh::Surface, view::ViewRecord};
 use lobelia_solve::fit::run::{Done, FitPlugin, FitSummary, Initialize};
 use lobelia_solve::fit::{FramesTried, components::Unknowns, guard::StepGuard};
-use lobelia_solve::shade::frame::FramePlugin;
-use lobelia_solve::visibility::{ObjectVisibility, VisibilitySettings};
-use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
+use lobelia_solve::{
+    shade::frame::FramePlugin, visibility::ObjectVisibility, visibility::VisibilitySettings,
+};
 use lobelia_world::light::placement::{PlacementTurn, Placements, TurnSource};
-use lobelia_world::pipeline::Pipeline;
+use lobelia_world::{light::light_frame::LightFrame, light::light_frame::OwnLightFrame, pipeline::Pipeline};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
-use std::path::PathBuf;
-use std::sync::Arc;
-use std::time::Instant;
+use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Instant};
 use tracing::info_span;
 
 /// The scores of a run, in its output folder.

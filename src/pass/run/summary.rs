@@ -2,32 +2,25 @@
 //! the run's files alone, so that the report of a run that goes on, of one that ended, and of several
 //! side by side are made in the same way.
 
-use crate::pass::fit::steps::{COLUMNS, LOG_EVERY, log_line};
-use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
+use crate::pass::fit::{TRUE_ENVIRONMENT, light_files, steps::COLUMNS, steps::LOG_EVERY, steps::log_line};
 use crate::pass::run::record::{PassRecord, Record, RunState};
-use crate::pass::{
-    evaluate::PARTS, run::preflight::RUN, run::session::METRICS, view::embedded, view_report::csv_entry,
-};
+use crate::pass::{evaluate::PARTS, run::session::METRICS, view::embedded, view_report::csv_entry};
 use crate::report::html::{
     FitFinding, FitLog, PassReport, PassViews, REPORT, ReportPicture, RunReport, ViewReport, html,
 };
-use crate::report::scores::{Scores, aligned};
-use crate::report::sheet::choose_evenly;
-use crate::report::tone::{MAT, jpeg_address, thumbnail_jpeg};
-use crate::scene::fields;
+use crate::report::{scores::Scores, scores::aligned, tone::MAT, tone::jpeg_address, tone::thumbnail_jpeg};
+use crate::{pass::run::preflight::RUN, report::sheet::choose_evenly, scene::fields};
 use bevy_ecs::prelude::{Entity, World};
 use image::{Rgb, RgbImage, RgbaImage};
 use indexmap::{IndexMap, IndexSet};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::{ViewIndex, ViewName};
+use lobelia_geometry::{error::Error, error::Result, view::ViewIndex, view::ViewName};
 use lobelia_io::codec::file::{MOST_TEXT, is_there, read_text, read_up_to, write_bytes};
 use lobelia_io::codec::image::decode;
 use lobelia_sg::color::srgb_from_linear;
 use lobelia_solve::fit::{loss::sums_of_step, run::FitProgress};
 use lobelia_world::material::SpecularLobe;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::{path::Path, path::PathBuf, time::Duration, time::Instant};
 
 /// Bytes of `data:` addresses in the report of one run, at most: with them it stays below 10 MB.
 const BUDGET: usize = 9_000_000;
@@ -458,8 +451,7 @@ fn on_mat(picture: &RgbaImage) -> RgbImage {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::scores::{PassScores, ScaleFound, ViewScores};
-    use crate::report::tone::write_thumbnail;
+    use crate::report::{scores::PassScores, scores::ScaleFound, scores::ViewScores, tone::write_thumbnail};
     use base64::Engine as _;
     use base64::engine::general_purpose::STANDARD;
     use image::Rgba;

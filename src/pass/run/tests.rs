@@ -1,13 +1,10 @@
 //! Whole runs on a disk that fails: one error, what was written is whole, and the run goes on from there.
 
-use crate::pass::run::record::{Record, RunState};
-use crate::pass::{RunOptions, run, run::progress::Silent};
+use crate::pass::{RunOptions, run, run::progress::Silent, run::record::Record, run::record::RunState};
 use crate::scene::{LoadOptions, LoadedScene, load};
 use lobelia_geometry::error::Error;
 use lobelia_io::codec::file::faults::{Call, Faulty, FileFault};
-use std::collections::BTreeMap;
-use std::path::Path;
-use std::time::Duration;
+use std::{collections::BTreeMap, path::Path, time::Duration};
 
 const SCENE: &str = r#"Scene(
     version: 1,

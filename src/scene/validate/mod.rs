@@ -10,23 +10,19 @@ pub(crate) use passes::uses_published;
 pub(super) use place::Found;
 pub use place::MIN_ROUGHNESS;
 
-use crate::scene::load::LoadOptions;
 use crate::scene::{
-    Albedo, AlbedoSource, Gloss, Light, LightFrameChoice, LightSource, Material, NdfChoice, Roughness, Scene,
-    Sheen, Specular, SpecularAlbedo, Surface, Tilt, VERSION, Visibility,
+    Albedo, AlbedoSource, CameraSpec, Dataset, Gloss, Light, LightFrameChoice, LightSource, Material,
+    NdfChoice, Pattern, Photographed, PlacementLight, PlacementSpec, Roughness, Scene, Sheen, Specular,
+    SpecularAlbedo, Surface, Tilt, VERSION, Views, Visibility, load::LoadOptions,
 };
-use crate::scene::{CameraSpec, Dataset, Pattern, Photographed, PlacementLight, PlacementSpec, Views};
 use glam::Vec3;
 use lobelia_geometry::mesh::MAX_COORDINATE;
 use lobelia_io::codec::image::Gamma;
 use lobelia_solve::fit::scale::ScaleRule;
-use lobelia_world::light::map_fit::MOST_FITTED;
-use lobelia_world::light::{MAX_RADIANCE, MAX_SHARPNESS, MOST_LOBES};
+use lobelia_world::light::{MAX_RADIANCE, MAX_SHARPNESS, MOST_LOBES, map_fit::MOST_FITTED};
 use lobelia_world::material::MAX_SPECULAR_LOBES;
 use place::Place;
-use std::cell::RefCell;
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::{cell::RefCell, collections::BTreeSet, path::Path};
 
 /// Least radius or edge length of a primitive, in world units.
 const MIN_LENGTH: f32 = 1e-9;

@@ -1,13 +1,9 @@
 //! Whether the passes of a scene make sense, each by itself and in their order.
 
-use crate::scene::Views;
-use crate::scene::validate::light_source;
-use crate::scene::validate::place::Place;
-use crate::scene::{Albedo, Gloss, Light, Roughness, Scene, SpecularAlbedo, Surface};
-use crate::scene::{ColorAction, Edit, Orbit, Region, RenderSettings, ScalarAction, Shading};
 use crate::scene::{
-    EvaluatePass, ExportPass, ExportScale, FitPass, FitShading, LayerTruth, Pass, Rates, ShapePass, Truth,
-    VIEW,
+    Albedo, ColorAction, Edit, EvaluatePass, ExportPass, ExportScale, FitPass, FitShading, Gloss, LayerTruth,
+    Light, Orbit, Pass, Rates, Region, RenderSettings, Roughness, ScalarAction, Scene, Shading, ShapePass,
+    SpecularAlbedo, Surface, Truth, VIEW, Views, validate::light_source, validate::place::Place,
 };
 use lobelia_io::codec::nearby::closest;
 use lobelia_sg::brdf::Ndf;

@@ -1,15 +1,10 @@
 //! Checks of single values, each of which says where the value is and what was expected there, and the files that a scene names.
 
-use crate::scene::diagnostic::Problem;
-use crate::scene::load::LoadOptions;
+use crate::scene::{diagnostic::Problem, load::LoadOptions};
 use glam::Vec3;
 use lobelia_geometry::mesh::MAX_COORDINATE;
-use lobelia_io::codec::file::{FileKind, Obstacle, obstacle};
-use lobelia_io::codec::nearby::missing_file_help;
-use std::cell::RefCell;
-use std::fmt::Display;
-use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
+use lobelia_io::codec::{file::FileKind, file::Obstacle, file::obstacle, nearby::missing_file_help};
+use std::{cell::RefCell, fmt::Display, ops::RangeInclusive, path::Path, path::PathBuf};
 
 /// Least roughness: below it the specular lobe is sharper than `f32` can hold.
 pub const MIN_ROUGHNESS: f32 = 0.03;
