@@ -66,8 +66,8 @@ pub(crate) fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
         views += views_of(session, &score.pass)?.len();
     }
     let side = side_within(views * PARTS.len(), VIEWS_BUDGET);
-    let rows =
-        (0..pass.scores.len()).map(|i| score_pass(session, pass, i, side)).collect::<Result<Vec<_>>>()?;
+    let rows: Vec<SheetRow> =
+        (0..pass.scores.len()).map(|i| score_pass(session, pass, i, side)).collect::<Result<_>>()?;
     if let Some(path) = &pass.mesh {
         let (found, truth) = (session.surface.mesh(), read_mesh(path)?);
         session.scores.chamfer = chamfer_distance(found, &truth, session.scene.seed);
@@ -138,9 +138,8 @@ impl ScoredPass {
         let (truth, covered, in_srgb) = match &self.truths {
             TrueImages::Photographs => {
                 let found = world.get::<Photograph>(view.entity).map(|photograph| photograph.image().pixels);
-                let found =
-                    found.ok_or_else(|| Error::run(place(), "there is no photograph to compare with"));
-                (found?, None, true)
+                let none = || Error::run(place(), "there is no photograph to compare with");
+                (found.ok_or_else(none)?, None, true)
             }
             TrueImages::Files(files) => {
                 let in_srgb = !image_header(&files[i])?.is_float;

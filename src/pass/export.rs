@@ -221,8 +221,8 @@ const LIGHT_TURN: f32 = 90.0;
 /// The files of the light, with the conventions that they are in.
 const MAPS: [(&str, MapConvention); 2] =
     [(LIGHT, MapConvention::ThreeJs), ("light_blender.hdr", MapConvention::BlenderYUp)];
-/// Width and height of the maps in texels.
-const LIGHT_SIZE: [u32; 2] = [1024, 512];
+/// Width of the maps in texels, twice their height.
+const WIDTH: u32 = 1024;
 
 /// The light that the pass shows, turned as the object, as a map: the given one, or the lobes' radiance; `None` if there is none yet.
 fn environment(session: &mut Session, pass: &ExportPass, turn: Quat) -> Option<EnvironmentMap> {
@@ -263,14 +263,13 @@ fn own_turn(session: &mut Session) -> Quat {
 }
 
 fn turned_map(map: &EnvironmentMap, turn: Quat) -> EnvironmentMap {
-    let map =
-        if map.width > LIGHT_SIZE[0] { map.downsampled(LIGHT_SIZE[0], LIGHT_SIZE[1]) } else { map.clone() };
+    let map = if map.width > WIDTH { map.downsampled(WIDTH, WIDTH / 2) } else { map.clone() };
     if turn == Quat::IDENTITY { map } else { map.rotated(turn) }
 }
 
 /// The lobes' radiance. One narrower than a texel is as wide as a texel, with the same power.
 fn map_of_lobes(lobes: &[LightLobe], turn: Quat) -> EnvironmentMap {
-    let finest = 2.0 * (LIGHT_SIZE[0] as f32 / TAU).powi(2);
+    let finest = 2.0 * (WIDTH as f32 / TAU).powi(2);
     let widened = |lobe: &LightLobe| {
         let sharpness = lobe.sharpness.min(finest);
         let power = |sharpness: f32| sphere_integral(f64::from(sharpness));
@@ -278,7 +277,7 @@ fn map_of_lobes(lobes: &[LightLobe], turn: Quat) -> EnvironmentMap {
         LightLobe { sharpness, amplitude: lobe.amplitude * dimmed, ..*lobe }
     };
     let lobes: Vec<LightLobe> = lobes.iter().map(widened).collect();
-    render_lobes(&rotate_lobes(&lobes, turn), LIGHT_SIZE[0], LIGHT_SIZE[1])
+    render_lobes(&rotate_lobes(&lobes, turn), WIDTH, WIDTH / 2)
 }
 
 /// Triplets of values that hold the blend weights of a texel.
@@ -519,7 +518,7 @@ mod tests {
         let turned = turned_map(&map, turn);
         let axis = lobes()[1].axis;
         assert!((turned.sample_bilinear(turn * axis) - map.sample_bilinear(axis)).length() < 0.2);
-        assert_eq!(turned_map(&render_lobes(&lobes(), 2048, 1024), Quat::IDENTITY).width, LIGHT_SIZE[0]);
+        assert_eq!(turned_map(&render_lobes(&lobes(), 2048, 1024), Quat::IDENTITY).width, WIDTH);
     }
 
     #[test]

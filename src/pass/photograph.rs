@@ -37,25 +37,25 @@ impl TrueObject {
         pipeline.add_plugin(&FramePlugin);
         let scenery: Arc<dyn Intersect> = surface.clone();
         pipeline.world.insert_resource(Scenery(scenery));
-        let albedo =
-            surface.atlas().position.iter().map(|p| DiffuseAlbedo(pattern_at(&spec.truth.albedo, *p)));
+        let truth = &spec.truth;
+        let albedo = surface.atlas().position.iter().map(|p| DiffuseAlbedo(pattern_at(&truth.albedo, *p)));
         let albedo: Vec<DiffuseAlbedo> = albedo.collect();
         let blends = vec![SpecularBlend::default(); albedo.len()];
         let sheen = vec![DiffuseSheen::default(); albedo.len()];
         let tilt = vec![DiffuseTilt::default(); albedo.len()];
-        let mut material =
-            MaterialState { albedo, sheen, tilt, blends, lobes: vec![Some(spec.truth.specular)] };
-        apply_edits(&mut material, &spec.truth.edits, surface)?;
+        let lobes = vec![Some(truth.specular)];
+        let mut material = MaterialState { albedo, sheen, tilt, blends, lobes };
+        apply_edits(&mut material, &truth.edits, surface)?;
         spawn_material(&mut pipeline.world, &material);
         // Rotations of the object in the rounds of photographs.
-        let turned = spec.truth.placements.iter().map(|degrees| Mat3::from_quat(rotation(*degrees)));
-        let others = spec.truth.other_lights.iter().map(load_light);
-        let lights = std::iter::once(load_light(&spec.truth.light)).chain(others).collect::<Result<_>>()?;
+        let turned = truth.placements.iter().map(|degrees| Mat3::from_quat(rotation(*degrees)));
+        let others = truth.other_lights.iter().map(load_light);
+        let lights = std::iter::once(load_light(&truth.light)).chain(others).collect::<Result<_>>()?;
         Ok(Self {
             pipeline,
             surface: surface.clone(),
             lights,
-            light_frame: spec.truth.light_frame,
+            light_frame: truth.light_frame,
             placements: std::iter::once(Mat3::IDENTITY).chain(turned).collect(),
             max_bounces: spec.max_bounces,
         })
@@ -80,9 +80,8 @@ impl TrueObject {
         spawn_edits(&mut self.pipeline.world, TRUTH, edits, &self.surface)?;
         self.pipeline.swap(Phase::Frame, Slot::Material, show_edited(TRUTH));
         let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
-        let side = (f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32;
-        let settings =
-            RenderSettings { shading, samples_per_pixel: side * side, ..RenderSettings::default() };
+        let samples_per_pixel = ((f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32).pow(2);
+        let settings = RenderSettings { shading, samples_per_pixel, ..RenderSettings::default() };
         let mut frames = Vec::new();
         for (i, (camera, placement)) in views.iter().enumerate() {
             check_interrupted()?;

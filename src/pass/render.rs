@@ -51,7 +51,7 @@ pub(crate) fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings)
     }
     if let Some((orbit, cameras)) = &film {
         let rendered = render_film(session, pass, settings, (orbit, cameras), &*bar);
-        sweep_material(&mut session.pipeline.world, name, []);
+        sweep_material(&mut session.pipeline.world, name, Vec::new());
         despawn_pool(&mut session.pipeline.world);
         let _writing = info_span!("film written").entered();
         let film = write_film(&folder.join(FILM), &rendered?, orbit.fps)?;
@@ -75,13 +75,12 @@ fn render_film(
     bar: &dyn Bar,
 ) -> Result<Vec<PathBuf>> {
     let folder = session.out.join(pass.name()).join(FRAMES);
-    let files: Vec<PathBuf> =
-        (0..cameras.len()).map(|frame| folder.join(format!("{frame:06}.png"))).collect();
+    let files: Vec<PathBuf> = (0..cameras.len()).map(|i| folder.join(format!("{i:06}.png"))).collect();
     let failed = |what: &str| Error::run("making a film", what);
     std::thread::scope(|scope| {
-        let (sender, waiting) = sync_channel::<(&PathBuf, RgbImage)>(1);
-        let writer =
-            scope.spawn(move || waiting.into_iter().try_for_each(|(file, frame)| write_rgb8(file, &frame)));
+        let (sender, ready) = sync_channel::<(&PathBuf, RgbImage)>(1);
+        let write = |(file, frame): (&PathBuf, RgbImage)| write_rgb8(file, &frame);
+        let writer = scope.spawn(move || ready.into_iter().try_for_each(write));
         let rendered = (0..).zip(cameras).zip(&files).try_for_each(|((frame, camera), file)| {
             check_interrupted()?;
             show_moment(session, pass, settings, orbit, frame);
@@ -111,8 +110,7 @@ pub(crate) struct ChosenView {
 pub(crate) fn chosen_views(world: &mut World, settings: &RenderSettings) -> Vec<ChosenView> {
     let mut query = world.query::<(Entity, &ViewName, &Camera, &Split)>();
     let all: Vec<_> = query.iter(world).collect();
-    let names: Vec<(&str, Split)> =
-        all.iter().map(|(_, name, _, split)| (name.0.as_str(), **split)).collect();
+    let names: Vec<(&str, Split)> = all.iter().map(|(_, name, _, split)| (&*name.0, **split)).collect();
     let chosen = chosen_stems(&names, settings).into_iter().map(|(i, stem)| {
         let (entity, name, camera, _) = all[i];
         ChosenView { stem, name: name.0.clone(), entity, camera: *camera }
@@ -321,11 +319,7 @@ fn show_moment(session: &mut Session, pass: &Pass, settings: &RenderSettings, or
 struct Swept;
 
 /// Replaces the swept edits by `factors`, after all other edits of the pass; each has its own target, so that they need no order.
-fn sweep_material(
-    world: &mut World,
-    pass: &str,
-    factors: impl IntoIterator<Item = (EditTarget, EditAction)>,
-) {
+fn sweep_material(world: &mut World, pass: &str, factors: Vec<(EditTarget, EditAction)>) {
     let mut query = world.query_filtered::<Entity, With<Swept>>();
     let old: Vec<Entity> = query.iter(world).collect();
     old.into_iter().for_each(|edit| _ = world.despawn(edit));

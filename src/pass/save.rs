@@ -47,12 +47,9 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     let light = save_source(given, &lobes, &folder.join("light"))?;
     let own = session.pipeline.world.get_resource::<OwnLightFrame>().filter(|_| !relit);
     let frame = own.map(|own| own.0).unwrap_or_default();
+    let texture_size = atlas.width;
     let saved = Scene {
-        surface: SurfaceSpec::Mesh {
-            path: "mesh.glb".into(),
-            texture_size: atlas.width,
-            own_material: false,
-        },
+        surface: SurfaceSpec::Mesh { path: "mesh.glb".into(), texture_size, own_material: false },
         views: saved_views(session, relit, &folder)?,
         light: Light::Fixed(light),
         light_frame: frame.into(),
@@ -60,8 +57,8 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
         passes: session.scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
         ..session.scene.clone()
     };
-    let text =
-        format!("// Saved by Lobelia. Run it again with: lobelia run scene.ron\n{}\n", to_ron(&saved)?);
+    let text = to_ron(&saved)?;
+    let text = format!("// Saved by Lobelia. Run it again with: lobelia run scene.ron\n{text}\n");
     write_bytes(&folder.join("scene.ron"), text.as_bytes())?;
     session.progress.print(&format!("{}: {}", pass.name, folder.join("scene.ron").display()));
     Ok(())
@@ -136,9 +133,7 @@ pub(crate) fn weight_channels(
 /// result, or else its lobes. Returns it with the name of that file.
 fn save_source(given: Option<LightSource>, lobes: &[LightLobe], stem: &Path) -> Result<LightSource> {
     let given = match given {
-        Some(LightSource::Ron { path, scale, rotation_degrees }) => {
-            Some(inlined(&path, scale, rotation_degrees)?)
-        }
+        Some(LightSource::Ron { path, scale, rotation_degrees: turn }) => Some(inlined(&path, scale, turn)?),
         source => source,
     };
     let name = |file: &Path| PathBuf::from(file.file_name().unwrap_or_default());
@@ -153,12 +148,8 @@ fn save_source(given: Option<LightSource>, lobes: &[LightLobe], stem: &Path) -> 
     }
     let file = stem.with_extension("npy");
     write_lobes(&file, lobes, NpyConvention::Lobelia)?;
-    Ok(LightSource::Npy {
-        path: name(&file),
-        convention: NpyConvention::Lobelia,
-        scale: 1.0,
-        rotation_degrees: Vec3::ZERO,
-    })
+    let (path, convention) = (name(&file), NpyConvention::Lobelia);
+    Ok(LightSource::Npy { path, convention, scale: 1.0, rotation_degrees: Vec3::ZERO })
 }
 
 /// The placements with the rotations and lights that were found.
@@ -187,9 +178,8 @@ fn saved_views(session: &mut Session, relit: bool, folder: &Path) -> Result<View
     match &session.scene.views {
         Views::Dataset(spec) => {
             let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
-            let found =
-                session.pipeline.world.get_resource::<CameraFit>().map_or(1.0, CameraFit::focal_factor);
-            let focal_scale = spec.focal_scale * found;
+            let found = session.pipeline.world.get_resource::<CameraFit>();
+            let focal_scale = spec.focal_scale * found.map_or(1.0, CameraFit::focal_factor);
             // All is known: nothing is left that prior maps would say.
             let priors = Priors::default();
             let placements = if relit { Vec::new() } else { placements_found(session, spec, folder)? };

@@ -70,9 +70,8 @@ pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
         session.pipeline.world.remove_resource::<ModelError>();
     }
     // Colors of different exposures, or lights, are no reflections.
-    let exposures = session.pipeline.world.get_resource::<Exposures>();
-    let differ =
-        exposures.is_some_and(Exposures::are_unknown) || !session.scene.views.other_lights().is_empty();
+    let given = session.pipeline.world.get_resource::<Exposures>();
+    let differ = given.is_some_and(Exposures::are_unknown) || !session.scene.views.other_lights().is_empty();
     if pass.normals && !differ && !stopped && !is_stopping() {
         session.kept.placed.normals = match_reflections(session, name, &mut mesh);
     }
@@ -114,8 +113,8 @@ fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
         fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress, world: &mut World| {
             tell_of_hull(progress, &pass.name, &mut told, at.hull);
             // Counted over all levels.
-            let (step, all) =
-                (steps(&pass.levels[..at.level]) + at.fit.step, steps(&pass.levels[..at.levels]));
+            let step = steps(&pass.levels[..at.level]) + at.fit.step;
+            let all = steps(&pass.levels[..at.levels]);
             bar.set_length(u64::from(all));
             bar.set_position(u64::from(step));
             if at.fit.step.is_multiple_of(20) {
@@ -150,6 +149,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             redistance_every: REDISTANCE_EVERY,
         },
     };
+    let max_pixels = pass.max_pixels as usize;
     ShapeOptions {
         levels: pass.levels.iter().map(level).collect(),
         fit: FitOptions {
@@ -160,11 +160,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             milestones: vec![0.6, 0.85],
             // While the surface moves, its normals would take part in a sheen.
             unknowns: Unknowns { sheen: false, ..session.unknowns() },
-            pixels: PixelChoice {
-                seed: session.scene.seed,
-                max_pixels: pass.max_pixels as usize,
-                evenly: false,
-            },
+            pixels: PixelChoice { seed: session.scene.seed, max_pixels, evenly: false },
             initialize: session.kept.initialize,
             exposure: pass.exposure,
             // Without shadows, which would have to be traced at every step, dark regions would bias the color of the highlights.
@@ -187,8 +183,7 @@ fn tell_of_hull(progress: &dyn Progress, name: &str, told: &mut HullReport, now:
     }
     let shares = |parts: &[(f32, &str)]| {
         let seen = parts.iter().filter(|(share, _)| *share >= 0.0005);
-        let words: Vec<String> =
-            seen.map(|(share, what)| format!("{:.1} % that {what}", 100.0 * share)).collect();
+        let words: Vec<_> = seen.map(|(share, what)| format!("{:.1} % that {what}", 100.0 * share)).collect();
         (!words.is_empty()).then(|| words.join(", and "))
     };
     const THROUGH: &str = "photographs look through";
@@ -327,8 +322,7 @@ fn look(folder: &Path, camera: Option<&Camera>, surface: &SdfSurface, step: u32)
     let path = |kind: &str, ending: &str| folder.join(format!("{kind}_{step:06}.{ending}"));
     if let Some(camera) = camera {
         let pixels = (0..camera.width * camera.height).into_par_iter();
-        let hits: Vec<Option<Hit>> =
-            pixels.map(|pixel| surface.intersect(&camera.pixel_ray(pixel), 0.0)).collect();
+        let hits: Vec<_> = pixels.map(|pixel| surface.intersect(&camera.pixel_ray(pixel), 0.0)).collect();
         let picture = |color: &dyn Fn(&Hit) -> [u8; 3]| {
             let pixel = |x: u32, y: u32| hits[(y * camera.width + x) as usize].as_ref().map_or([0; 3], color);
             RgbImage::from_fn(camera.width, camera.height, |x, y| Rgb(pixel(x, y)))

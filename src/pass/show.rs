@@ -168,7 +168,7 @@ fn region_weights(region: &Region, atlas: &TexelAtlas) -> Result<Option<Vec<f32>
         Some(atlas.position.par_iter().map(|p| weight_at(depth(*p), falloff)).collect::<Vec<f32>>())
     };
     let around =
-        |points: &[Vec3], radius: f32, falloff: f32| each(&|p| radius - distance_to_line(p, points), falloff);
+        |line: &[Vec3], radius: f32, falloff: f32| each(&|p| radius - distance_to_line(p, line), falloff);
     Ok(match region {
         Region::All => None,
         Region::Box { min, max, falloff } => {

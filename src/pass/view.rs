@@ -107,7 +107,7 @@ fn add_photographs(world: &World, views: &[Entity], cameras: &mut [PageCamera], 
     let mut chosen = Vec::new();
     for split in [Split::Test, Split::Train] {
         let there: Vec<usize> =
-            (0..views.len()).filter(|i| cameras[*i].split == split && is_there(views[*i])).collect();
+            (0..views.len()).filter(|&i| cameras[i].split == split && is_there(views[i])).collect();
         chosen.extend(choose_evenly(there.len(), max - chosen.len()).into_iter().map(|i| there[i]));
     }
     let side = side_within(chosen.len(), BUDGET);

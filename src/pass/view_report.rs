@@ -152,10 +152,8 @@ fn runaway(lobes: &[LightLobe], views: &[(ViewOutcome, ViewSum)]) -> Option<Stri
     let (number, brightest) =
         lobes.iter().map(light).enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| pixels > 0)?;
     (brightest > RUNAWAY * usual).then(|| {
-        format!(
-            "light lobe {number} ran away: it gives {:.0} times the light of the photographs",
-            brightest / usual
-        )
+        let times = brightest / usual;
+        format!("light lobe {number} ran away: it gives {times:.0} times the light of the photographs")
     })
 }
 
@@ -169,8 +167,7 @@ pub(super) fn outlier_share(view: &EvalView, predicted: &[glam::Vec3]) -> Option
 
 /// Adds scored views that no fit has told of, in place of those that an earlier `Evaluate` has told of, and writes the report of all views.
 pub(super) fn write(session: &mut Session, folder: &Path, scored: &[ScoredOutcome]) -> Result<()> {
-    let scored: HashMap<Entity, &ScoredOutcome> =
-        scored.iter().rev().map(|scored| (scored.view, scored)).collect();
+    let scored: HashMap<Entity, &ScoredOutcome> = scored.iter().rev().map(|of| (of.view, of)).collect();
     // Those of a fit say how many pixels it may visit.
     session.scores.views.retain(|view| view.pixels.is_some());
     let key = |view: &ViewOutcome| (view.name.clone(), view.split.clone());

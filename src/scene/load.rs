@@ -49,9 +49,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
         return Err(Error::usage(problem, "Give the folder that `$DATA` stands for."));
     }
     let help = |path: &Path| match path.is_dir() {
-        true => {
-            format!("Give a scene file; `lobelia new {}` writes one for a folder of data.", path.display())
-        }
+        true => format!("Give a scene file; `lobelia new {}` writes one for a folder.", path.display()),
         false => "Give a scene file, e.g. scenes/quickstart.ron.".to_owned(),
     };
     let mut text = read_text(path, MOST_TEXT, help)?;

@@ -216,8 +216,8 @@ fn open(source: &LightSource) -> Result<(LightFile, Vec<String>)> {
         LightSource::Lobes { lobes, .. } => {
             (LightFile::Lobes(lobes.iter().map(with_unit_axis).collect()), Vec::new())
         }
-        LightSource::Npy { path, convention, .. } => {
-            (LightFile::Lobes(read_lobes(path, *convention)?), Vec::new())
+        LightSource::Npy { path, convention: of, .. } => {
+            (LightFile::Lobes(read_lobes(path, *of)?), Vec::new())
         }
         LightSource::Map { path, convention, .. } => {
             let (map, notes) = read_map(path, *convention)?;

@@ -144,7 +144,7 @@ const METAL: (f32, f32) = (0.3, 0.25);
 const DIELECTRIC: (f32, f32) = (0.04, 0.5);
 
 /// The roughest base material at first, over the least rough.
-const ROUGHNESS_SPREAD: f32 = 2.5;
+const SPREAD: f32 = 2.5;
 
 /// The base materials and each texel's blend of them, starting from the lobe `specular`.
 fn initial_gloss(
@@ -159,8 +159,7 @@ fn initial_gloss(
         Gloss::Blend { materials } => {
             // With roughnesses spread around that of `specular`.
             let place = |k: u32| k as f32 / (materials - 1) as f32 - 0.5;
-            let roughness =
-                |k| (specular.roughness * ROUGHNESS_SPREAD.powf(place(k))).clamp(MIN_ROUGHNESS, 1.0);
+            let roughness = |k| (specular.roughness * SPREAD.powf(place(k))).clamp(MIN_ROUGHNESS, 1.0);
             let lobes = (0..*materials).map(|k| SpecularLobe { roughness: roughness(k), ..specular });
             Ok((lobes.collect(), vec![SpecularBlend::even(*materials as usize); count]))
         }
@@ -177,10 +176,7 @@ fn initial_gloss(
 
 /// The base materials that a fit may choose instead of one ([`Gloss::Auto`]), and the blend that it starts with: see [`metal`](lobelia_solve::fit::metal).
 pub fn several_materials() -> (Vec<SpecularLobe>, SpecularBlend) {
-    let lobe = |(albedo, roughness)| SpecularLobe {
-        ndf: Ndf::Ggx,
-        ..SpecularLobe::new(Vec3::splat(albedo), roughness)
-    };
+    let lobe = |(albedo, roughness)| SpecularLobe { albedo: Vec3::splat(albedo), roughness, ndf: Ndf::Ggx };
     (vec![lobe(METAL), lobe(DIELECTRIC)], SpecularBlend::even(2))
 }
 
@@ -259,23 +255,22 @@ const SPECK: f32 = 1e-6;
 /// Most cells and texels a side of an unknown surface that is to be replaced.
 const DRAFT: (u32, u32) = (48, 256);
 
-/// Makes the surface, from the training views' masks where it is unknown; the notes say what was repaired on the way.
+/// A surface, and notes of what was repaired on the way.
+pub type Made = (Surface, Vec<String>);
+
+/// Makes the surface, from the training views' masks where it is unknown.
 ///
 /// # Errors
 /// If the mesh cannot be read or unwrapped.
-pub fn make_surface(
-    spec: &SurfaceSpec,
-    views: &[ViewRecord],
-    use_of: SurfaceUse,
-) -> Result<(Surface, Vec<String>)> {
+pub fn make_surface(spec: &SurfaceSpec, views: &[ViewRecord], use_of: SurfaceUse) -> Result<Made> {
     match spec {
         SurfaceSpec::Unknown { cells, texture_size } => match use_of {
             SurfaceUse::Lasting => hull_of_masks(views, *cells, *texture_size),
             SurfaceUse::UntilShape => hull_of_masks(views, DRAFT.0.min(*cells), DRAFT.1.min(*texture_size)),
             SurfaceUse::Checks => Ok((Surface::new(sphere_mesh(Vec3::ZERO, SPECK)?, DRAFT.1)?, Vec::new())),
         },
-        SurfaceSpec::Mesh { path, texture_size, own_material } => {
-            mesh_of_file(path, *texture_size, *own_material)
+        SurfaceSpec::Mesh { path, texture_size: size, own_material } => {
+            mesh_of_file(path, *size, *own_material)
         }
         SurfaceSpec::Sphere { center, radius, texture_size } => {
             Ok((Surface::new(sphere_mesh(*center, *radius)?, *texture_size)?, Vec::new()))
@@ -287,7 +282,7 @@ pub fn make_surface(
 }
 
 /// The visual hull of the training views' masks, on a grid of `cells` cells a side.
-fn hull_of_masks(views: &[ViewRecord], cells: u32, texture_size: u32) -> Result<(Surface, Vec<String>)> {
+fn hull_of_masks(views: &[ViewRecord], cells: u32, texture_size: u32) -> Result<Made> {
     let train = views.iter().filter(|view| view.split == Split::Train);
     let silhouette = |view: &ViewRecord| Silhouette::new(&view.name, &view.camera, view.mask.as_ref()?);
     let mut silhouettes: Vec<Silhouette> = train.filter_map(silhouette).collect();
@@ -298,7 +293,7 @@ fn hull_of_masks(views: &[ViewRecord], cells: u32, texture_size: u32) -> Result<
 }
 
 /// The mesh of a file. Where it is to have its `own_material`, its own texture coordinates have to do.
-fn mesh_of_file(path: &Path, texture_size: u32, own_material: bool) -> Result<(Surface, Vec<String>)> {
+fn mesh_of_file(path: &Path, texture_size: u32, own_material: bool) -> Result<Made> {
     let (mesh, report) = read_mesh_with_report(path)?;
     let unwrapped = unwrap_mesh(&mesh, texture_size)?;
     if own_material && unwrapped.charts.is_some() {

@@ -185,7 +185,7 @@ fn choose(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     let found = tried.as_ref().ok().copied().filter(|_| !is_stopping());
     let enough = if session.kept.placed.normals { CLEARLY_POLISHED } else { CLEARLY };
     session.kept.several =
-        found.is_some_and(|(error, given_up)| given_up.is_none() && error < enough * first.error);
+        found.is_some_and(|(error, ended)| ended.is_none() && error < enough * first.error);
     if session.kept.several {
         begin_log(&mut session.pipeline.world);
     } else {
@@ -247,8 +247,8 @@ fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions, one: 
     let done = Done::default();
     let options = FitOptions { done, unknowns, initialize, visibility, light_frame, ..before.clone() };
     let steps = one.summary.steps;
-    let hopeless =
-        |step: u32, error: f64| steps == TRIED[0] && step >= HOPELESS.0 && error > HOPELESS.1 * one.error;
+    let (from, most) = HOPELESS;
+    let hopeless = |step, error| steps == TRIED[0] && step >= from && error > most * one.error;
     error_after(session, &options, &format!("{}, several base materials", pass.name), steps, hopeless)
 }
 

@@ -113,8 +113,7 @@ pub(crate) fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
 fn fill_texels(session: &mut Session) -> Result<usize> {
     let unknowns = session.unknowns();
     let world = &mut session.pipeline.world;
-    let seen: Vec<bool> =
-        read_column::<TexelIndex, TexelSeen>(world)?.iter().map(|seen| seen.0 > 1e-3).collect();
+    let seen: Vec<bool> = read_column::<TexelIndex, TexelSeen>(world)?.iter().map(|s| s.0 > 1e-3).collect();
     let atlas = session.surface.atlas();
     if seen.len() != atlas.covered.len() || !seen.contains(&true) {
         return Ok(0);
@@ -154,8 +153,7 @@ fn fill_texels(session: &mut Session) -> Result<usize> {
 fn material_words(world: &mut World) -> String {
     let lobes: Vec<SpecularLobe> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
     let gloss: Vec<f32> = world.query::<&TexelRoughness>().iter(world).map(|gloss| gloss.roughness).collect();
-    let (low, high) =
-        gloss.iter().fold((f32::INFINITY, 0.0f32), |(low, high), r| (low.min(*r), high.max(*r)));
+    let (low, high) = gloss.iter().fold((f32::INFINITY, 0f32), |(low, high), r| (low.min(*r), high.max(*r)));
     let words = |roughness: String, [r, g, b]: [f32; 3]| {
         format!("; roughness {roughness}, specular albedo ({r:.3}, {g:.3}, {b:.3})")
     };

@@ -159,10 +159,8 @@ pub(super) fn take_steps(
     // The results so far are written.
     finish_stopping();
     check_parameters(&mut session.pipeline.world)?;
-    check_numbers(
-        "the surface's coordinate",
-        session.surface.mesh().positions.iter().flat_map(|at| at.to_array()),
-    )?;
+    let positions = &session.surface.mesh().positions;
+    check_numbers("the surface's coordinate", positions.iter().flat_map(|at| at.to_array()))?;
     bar.finish_and_clear();
     Ok(Steps { summary, error, psnr, ended })
 }

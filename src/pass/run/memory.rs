@@ -175,9 +175,9 @@ impl Machine {
 
     /// "AMD EPYC 9354P, 2 threads, avx2, 15.6 GiB, linux x86_64".
     pub fn words(&self) -> String {
+        let (threads, simd) = (Some(counted(self.threads, "thread")), Some(self.simd.clone()));
         let memory = self.memory_mib.map(|mib| format!("{:.1} GiB", mib as f64 / 1024.0));
-        let parts =
-            [self.processor.clone(), Some(counted(self.threads, "thread")), Some(self.simd.clone()), memory];
+        let parts = [self.processor.clone(), threads, simd, memory];
         let parts = parts.into_iter().flatten().chain([self.system.clone()]);
         parts.collect::<Vec<_>>().join(", ")
     }

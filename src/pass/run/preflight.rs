@@ -13,6 +13,7 @@ use crate::scene::{
 };
 use crate::{spawn::light::files_of, spawn::light::inlined, survey::open::OpenScene};
 use bevy_ecs::prelude::World;
+use glam::Vec3;
 use lobelia_geometry::view::{Frame, Photograph, Split, ViewName, ViewRecord};
 use lobelia_geometry::{error::Error, error::Result, mesh::Surface};
 use lobelia_io::codec::file::{FileUse, check_apart, check_not_among};
@@ -99,9 +100,7 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
 fn of_save(scene: &Scene) -> BTreeSet<String> {
     let name = |stem: &str, source: &LightSource| {
         let given = match source {
-            LightSource::Ron { path, scale, rotation_degrees } => {
-                inlined(path, *scale, *rotation_degrees).ok()
-            }
+            LightSource::Ron { path, .. } => inlined(path, 1.0, Vec3::ZERO).ok(),
             other => Some(other.clone()),
         };
         let extension = match &given {
@@ -169,7 +168,7 @@ pub fn check_outputs(
 ) -> Result<()> {
     check_apart(&inputs(loaded, open), outputs, help)?;
     let pictures: Vec<FileUse> =
-        open.iter().flat_map(|open| &open.views).flat_map(|view| view.pictures()).collect();
+        open.iter().flat_map(|of| &of.views).flat_map(|view| view.pictures()).collect();
     check_not_among(&pictures, outputs, help)
 }
 
@@ -256,12 +255,9 @@ pub(super) fn check_cameras(scene: &Scene, views: &[ViewRecord], surface: &Surfa
     let Some(view) = views.iter().find(|view| surface.is_inside(view.camera.position())) else {
         return Ok(());
     };
-    let at = view.camera.position();
+    let Vec3 { x, y, z } = view.camera.position();
     Err(Error::usage(
-        format!(
-            "the camera of view {} is inside the object, at ({:.3}, {:.3}, {:.3})",
-            view.name, at.x, at.y, at.z
-        ),
+        format!("the camera of view {} is inside the object, at ({x:.3}, {y:.3}, {z:.3})", view.name),
         "Check that the cameras and the object have the same coordinate system and unit, or leave out that view.",
     ))
 }

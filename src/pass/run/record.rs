@@ -184,8 +184,7 @@ pub(super) fn resumed(out: &Path, loaded: &LoadedScene) -> Result<Option<Record>
         return Ok(Some(record));
     }
     // Of a pass that waits there is what an earlier run left, if the process was killed before that was removed.
-    let written =
-        |pass: &PassRecord| pass.state != RunState::Waiting && !all_existing(out, &pass.files).is_empty();
+    let written = |of: &PassRecord| of.state != RunState::Waiting && !all_existing(out, &of.files).is_empty();
     if record.passes.iter().any(written) {
         let problem = format!(
             "the run in {} kept no checkpoints: --resume would begin again and remove its results",
@@ -256,8 +255,7 @@ impl Claim {
             let help = "Choose another folder with --out. What an older version wrote is best moved away or removed.";
             return Err(Error::usage(problem, help));
         }
-        let old: BTreeSet<String> =
-            all_existing(out, before.iter().flat_map(Record::listed)).into_iter().collect();
+        let old = BTreeSet::from_iter(all_existing(out, before.iter().flat_map(Record::listed)));
         for folder in plan.iter().flat_map(folders_of).map(|folder| out.join(folder)) {
             resume::check_no_link(&folder)?;
         }
@@ -277,8 +275,7 @@ impl Claim {
     /// The files of earlier runs but those of the passes that are `done`: those that are removed when this
     /// one begins, which are of [`OF_RUN`] or under the names of its passes, and those that stay.
     fn leftovers(&self, done: &[PassRecord]) -> (Vec<String>, Vec<String>) {
-        let names: BTreeSet<&str> =
-            self.plan.iter().skip(done.len()).map(|pass| pass.name.as_str()).collect();
+        let names: BTreeSet<&str> = self.plan.iter().skip(done.len()).map(|pass| &*pass.name).collect();
         let is_old = |file: &&String| *file != RUN && !done.iter().any(|pass| pass.files.contains(file));
         let is_stale = |file: &String| {
             OF_RUN.contains(&file.as_str())

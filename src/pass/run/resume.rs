@@ -110,19 +110,16 @@ impl RunStart {
         let lacks = |path: &&String| !now.inputs.contains_key(*path);
         let changed = now.inputs.iter().find(differs).map(|(path, _)| path);
         if let Some(path) = changed.or_else(|| self.inputs.keys().find(lacks)) {
-            return other(
-                format!("{path} is not what it was when the run was begun"),
-                "Put it back as it was",
-            );
+            let problem = format!("{path} is not what it was when the run was begun");
+            return other(problem, "Put it back as it was");
         }
         if self.views != now.views {
             let problem =
-                "the cameras or lists of views of the data set are not what they were when the run was begun";
+                "the cameras or lists of views of the data are not what they were when the run was begun";
             return other(problem, "Put them back as they were");
         }
         if self.within_memory != now.within_memory {
-            let problem =
-                "the run was begun with other sizes of its pools, because it was allowed other memory";
+            let problem = "the run was begun with other sizes of its pools, as it was allowed other memory";
             return other(problem, "Give the same --memory");
         }
         if self.threads != now.threads {
@@ -221,13 +218,8 @@ pub(super) fn are_kept(out: &Path) -> bool {
 ///
 /// # Errors
 /// [`Error::Input`] if no checkpoint can be used; [`Error::Run`] if the state is of another world.
-pub(super) fn take_up(
-    session: &mut Session,
-    begun: &RunStart,
-    resumed: bool,
-    every: Duration,
-) -> Result<usize> {
-    let (run, folder) = (hash_of(begun), session.out.join(FOLDER));
+pub(super) fn take_up(session: &mut Session, of: &RunStart, resumed: bool, every: Duration) -> Result<usize> {
+    let (run, folder) = (hash_of(of), session.out.join(FOLDER));
     let (pass, state, part) = if resumed { find(&folder, run, session.progress)? } else { (0, None, None) };
     if resumed {
         let words = match session.scene.passes.get(pass as usize) {

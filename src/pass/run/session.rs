@@ -170,11 +170,8 @@ impl<'a> Session<'a> {
         if !self.pipeline.world.contains_resource::<ObjectVisibility>() {
             let settings = VisibilitySettings { directions, bounces, refresh_every };
             let texels = self.surface.atlas().covered.iter().filter(|covered| **covered).count();
-            let bytes = settings.bytes(
-                texels,
-                self.scene.views.placements(),
-                self.scene.views.other_lights().len() + 1,
-            );
+            let views = &self.scene.views;
+            let bytes = settings.bytes(texels, views.placements(), views.other_lights().len() + 1);
             if bytes > MOST_VISIBILITY_BYTES {
                 let gib = bytes as f64 / f64::from(1 << 30);
                 let problem =
@@ -245,11 +242,8 @@ impl<'a> Session<'a> {
     /// Returns the unknowns that a fit may move now.
     pub fn unknowns(&self) -> Unknowns {
         let found = unknowns(self.scene);
-        if self.kept.several {
-            Unknowns { blends: true, mono_specular: false, metal: true, ..found }
-        } else {
-            found
-        }
+        let several = Unknowns { blends: true, mono_specular: false, metal: true, ..found };
+        if self.kept.several { several } else { found }
     }
 
     pub fn pass_named(&self, name: Option<&str>) -> Option<&'a Pass> {

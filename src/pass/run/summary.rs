@@ -101,7 +101,7 @@ impl Reporter {
 
     fn write_with(&mut self, out: &Path, add: impl FnOnce(&mut RunReport)) -> Result<()> {
         let record =
-            Record::read(out).ok_or_else(|| Error::run("the report", format!("{RUN} cannot be read")))?;
+            Record::read(out).ok_or_else(|| Error::run("report", format!("{RUN} cannot be read")))?;
         let scores = read_scores(out).unwrap_or_default();
         let mut report = gather(out, &record, scores, &mut self.pictures);
         add(&mut report);
@@ -254,9 +254,7 @@ fn findings(out: &Path, fits: &[&str], scores: &Scores) -> Vec<FitFinding> {
     if let Some(scale) = &scores.scale {
         let sure = match scale.rule.as_str() {
             "Known" => "",
-            _ => {
-                " — photographs do not determine it: brightness of light and albedo are known up to this choice"
-            }
+            _ => " — photographs do not determine it: light and albedo are known up to this choice",
         };
         found.push(plain("scale between light and albedo", format!("{}{sure}", scale.rule)));
         found.push(colored("mean light".into(), scale.mean_light, ""));
@@ -306,8 +304,7 @@ fn scored_views(out: &Path, record: &Record, scores: &Scores, pictures: &mut Pic
     }
     ranked.sort_by_key(|(rank, pass, ..)| (*rank, *pass));
     for (_, pass, folder, name) in ranked {
-        let [truth, render, error] =
-            PARTS.map(|part| pictures.file(&folder.join(format!("{name}_{part}.jpg"))));
+        let [truth, render, error] = PARTS.map(|p| pictures.file(&folder.join(format!("{name}_{p}.jpg"))));
         if render.is_some() {
             passes[pass].views.push(ViewReport { name: name.to_owned(), truth, render, error });
         } else {
@@ -328,14 +325,10 @@ fn unscored_views(out: &Path, record: &Record, scores: &Scores, pictures: &mut P
         let view = |i: usize| {
             let path = out.join(&pass.name).join(format!("{}.png", stems[i]));
             let render = pictures.small(&path, UNSCORED_SIDE);
-            render.is_some().then(|| ViewReport {
-                name: stems[i].to_owned(),
-                render,
-                ..ViewReport::default()
-            })
+            let name = stems[i].to_owned();
+            render.is_some().then(|| ViewReport { name, render, ..ViewReport::default() })
         };
-        let shown: Vec<ViewReport> =
-            choose_evenly(stems.len(), UNSCORED_VIEWS).into_iter().filter_map(view).collect();
+        let shown: Vec<_> = choose_evenly(stems.len(), UNSCORED_VIEWS).into_iter().filter_map(view).collect();
         let left_out = stems.len() - shown.len();
         views.push(PassViews { pass: pass.name.clone(), views: shown, left_out });
     }
@@ -358,8 +351,7 @@ pub fn table_of_runs(runs: &[(String, &Path)]) -> String {
 
 /// The table of runs as CSV, with a line of column names first.
 pub fn csv_of_runs(runs: &[(String, &Path)]) -> String {
-    let line =
-        |row: &Vec<String>| row.iter().map(|entry| csv_entry(entry)).collect::<Vec<_>>().join(",") + "\n";
+    let line = |row: &Vec<String>| row.iter().map(|of| csv_entry(of)).collect::<Vec<_>>().join(",") + "\n";
     rows(runs).iter().map(line).collect()
 }
 

@@ -183,8 +183,8 @@ fn fit(at: &Place, fit: &FitPass, scene: &Scene) {
             "Use `views: Dataset(…)` or `views: Photographed(…)`, or remove the `Fit`.",
         );
     }
-    let is_initial =
-        matches!(scene.material.albedo, Albedo::Initial(_)) || matches!(scene.light, Light::Initial(_));
+    let (light, albedo) = (&scene.light, &scene.material.albedo);
+    let is_initial = matches!((light, albedo), (Light::Initial(_), _) | (_, Albedo::Initial(_)));
     if unknown_parts(scene).is_empty() && !is_initial {
         cannot("everything is fixed, so there is nothing to fit", "Remove the `Fit`.");
     }
@@ -360,7 +360,7 @@ fn evaluate(at: &Place, evaluate: &mut EvaluatePass, views: &Views, earlier: &[P
 /// The path of a file of each view lies below its folder, and says which view it is of.
 fn files_of_views(at: &Place, folder: &mut PathBuf, file: &str) {
     let is_below =
-        Path::new(file).components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+        Path::new(file).components().all(|of| matches!(of, Component::Normal(_) | Component::CurDir));
     let help = format!("For the views of {}, write `file: \"{VIEW}/albedo.png\"`.", folder.display());
     if !file.contains(VIEW) {
         let expected = format!("a path with `{VIEW}`, which stands for the name of a view");

@@ -184,11 +184,8 @@ impl<'a> Place<'a> {
             }
         };
         if let Some((problem, help)) = complaint(&full, kind) {
-            at.fail(
-                problem,
-                if kind == FileKind::File { "expected a file" } else { "expected a folder" },
-                help,
-            );
+            let expected = if kind == FileKind::File { "expected a file" } else { "expected a folder" };
+            at.fail(problem, expected, help);
         } else if !self.found.borrow().files.contains(&full) {
             self.found.borrow_mut().files.push(full.clone());
         }
