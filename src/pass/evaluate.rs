@@ -4,23 +4,22 @@
 //! The pass writes a contact sheet of a few views, and for the report small pictures of all views: `<scored pass>/<view>_truth.jpg`, `_render.jpg` and
 //! `_error.jpg`. Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files.
 
-use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::view_report::{ScoredOutcome, outlier_share};
-use crate::pass::{run::session::Session, truth_files::read_covered, view_report};
+use crate::pass::{render::ChosenView, render::chosen_views, run::session::Session, view_report};
 use crate::report::metrics::{ImagePair, NormalAngles, albedo_psnr, coverage_iou, erode, mean};
 use crate::report::scores::{EvalView, PassScores, Scaling, ViewScores, score_views};
 use crate::report::sheet::{SheetRow, choose_evenly, write_sheet};
 use crate::report::tone::{Picture, VIEWS_BUDGET, error_map, side_within, write_thumbnail};
-use crate::scene::{EvaluatePass, LayerTruth, Pass, ScoreScale, Truth};
+use crate::scene::{EvaluatePass, LayerTruth, Pass, ScoreScale, Truth, TruthFiles, VIEW};
 use bevy_ecs::prelude::Entity;
 use glam::Vec3;
 use image::RgbImage;
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
 use lobelia_geometry::mesh::nearest::chamfer_distance;
-use lobelia_geometry::view::{Photograph, Placement, ViewMask, camera::Camera};
-use lobelia_io::codec::exr_frame::{Layer, read_frame_layers};
-use lobelia_io::codec::{gltf::import::read_mesh, image::Gamma, image::image_header};
-use std::path::{Path, PathBuf};
+use lobelia_geometry::view::{Image, Photograph, Placement, ViewMask, camera::Camera};
+use lobelia_io::codec::image::{Gamma, IMAGE_EXTENSIONS, Orientation, image_header, read_image};
+use lobelia_io::codec::{exr_frame::Layer, exr_frame::read_frame_layers, gltf::import::read_mesh};
+use std::{ops::RangeInclusive, path::Path, path::PathBuf};
 use tracing::info_span;
 
 /// Views shown in a row of the contact sheet.
@@ -301,4 +300,251 @@ fn show_views(
 fn picture(view: &ScoredView, color: &[Vec3]) -> Result<RgbImage> {
     let EvalView { width, height, .. } = view.eval;
     Picture { width, height, color, alpha: view.outline() }.on_mat()
+}
+
+/// Lengths between which a normal of a PNG is known. Its components are rounded and averaged over a pixel, and one that is black
+/// may be negative.
+const KNOWN_LENGTHS: RangeInclusive<f32> = 0.9..=1.1;
+
+impl TruthFiles<'_> {
+    /// The image of a view: the first format that exists, EXR if none does.
+    pub(crate) fn image(&self, view: &str) -> PathBuf {
+        if let Some(file) = self.named(view) {
+            return file;
+        }
+        let of_kind = |kind: &str| self.folder.join(format!("{view}.{kind}"));
+        let found = IMAGE_EXTENSIONS.iter().map(|kind| of_kind(kind)).find(|path| path.is_file());
+        found.unwrap_or_else(|| of_kind("exr"))
+    }
+
+    /// The files that are there, whatever views there are: all in the folder, or those whose paths are of the given form.
+    pub(crate) fn found(&self) -> Vec<PathBuf> {
+        let form = self.file.unwrap_or(VIEW);
+        let parts = Path::new(form).components().filter_map(|part| part.as_os_str().to_str());
+        let mut found = vec![self.folder.to_owned()];
+        for part in parts.filter(|part| *part != ".") {
+            found = found.into_iter().flat_map(|folder| matching(&folder, part)).collect();
+        }
+        found
+    }
+
+    fn named(&self, view: &str) -> Option<PathBuf> {
+        self.file.map(|file| self.folder.join(file.replace(VIEW, view)))
+    }
+
+    /// The true albedo or normals of a view, in linear light or world axes, by the stem of its
+    /// files and its name. Unknown normals are zero.
+    pub(crate) fn read_layer(&self, layer: Layer, names: [&str; 2], camera: &Camera) -> Result<Vec<Vec3>> {
+        let [stem, name] = names;
+        let Some(path) = self.named(name) else { return read_usual_layer(self.folder, layer, stem, camera) };
+        let (mut pixels, alpha) = read_covered(&path, Gamma::Linear, camera)?;
+        let straight = |(pixel, alpha): (&mut Vec3, f32)| *pixel /= alpha.max(1e-6);
+        pixels.iter_mut().zip(alpha.unwrap_or_default()).for_each(straight);
+        if layer == Layer::Normal && !image_header(&path)?.is_float {
+            pixels.iter_mut().for_each(|pixel| *pixel = known_normal(2.0 * *pixel - 1.0, f32::NEG_INFINITY));
+        }
+        Ok(pixels)
+    }
+}
+
+/// Returns the paths in a folder that match `part`, where [`VIEW`] stands for anything.
+fn matching(folder: &Path, part: &str) -> Vec<PathBuf> {
+    let Some((start, end)) = part.split_once(VIEW) else {
+        return Some(folder.join(part)).filter(|path| path.exists()).into_iter().collect();
+    };
+    // Of a name that stands twice in a part, the first and the last piece are enough.
+    let end = end.rsplit_once(VIEW).map_or(end, |(_, end)| end);
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let named = entries.filter(|entry| {
+        entry.file_name().to_str().is_some_and(|name| name.starts_with(start) && name.ends_with(end))
+    });
+    named.map(|entry| entry.path()).collect()
+}
+
+/// True albedo or normals as they are usually called: `albedo_003.exr` for the view `003`, `r_003` or
+/// `test_003`. Normals are also read from `r_003_normal.png`, if there is no such EXR.
+fn read_usual_layer(folder: &Path, layer: Layer, view: &str, camera: &Camera) -> Result<Vec<Vec3>> {
+    let number = view.rsplit('_').next().unwrap_or(view);
+    let name = if layer == Layer::Normal { "normal" } else { "albedo" };
+    let exr = folder.join(format!("{name}_{number}.exr"));
+    let png = folder.join(format!("{view}_normal.png"));
+    if layer != Layer::Normal || exr.is_file() {
+        return read_fitting(&exr, Gamma::Linear, camera);
+    }
+    if !png.is_file() {
+        let help = format!("Name the folder that has it, or {view}_normal.png.");
+        return Err(Error::input(&exr, "", "there are no true normals of this view", help));
+    }
+    let mut image = read_image(&png, Gamma::Srgb, Orientation::Upright)?.image;
+    image.pixels.iter_mut().for_each(|normal| *normal = known_normal(*normal, 0.0));
+    // Few normals of a block may be unknown, or they would be those of one side of an edge.
+    let fitting = fit(&png, image, camera)?;
+    Ok(fitting.into_iter().map(|normal| known_normal(normal, 0.0)).collect())
+}
+
+/// The normal of a decoded pixel of a PNG: known, and then made a unit vector, if all components are above `least` (of a picture of max(0, n) one that is 0
+/// may be any) and its length is nearly 1; else zero.
+fn known_normal(decoded: Vec3, least: f32) -> Vec3 {
+    let known = decoded.min_element() > least && KNOWN_LENGTHS.contains(&decoded.length());
+    if known { decoded.normalize() } else { Vec3::ZERO }
+}
+
+/// The pixels of the ground-truth image of a view. If views are downscaled on reading, so is their ground truth.
+///
+/// # Errors
+/// [`Error::Input`] if the image cannot be read or its size does not match the view.
+pub(crate) fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Vec3>> {
+    read_covered(path, gamma, camera).map(|(pixels, _)| pixels)
+}
+
+/// Returns the pixels of [`read_fitting`], weighted by coverage, and the coverage if the image has
+/// alpha.
+pub fn read_covered(path: &Path, gamma: Gamma, camera: &Camera) -> Result<(Vec<Vec3>, Option<Vec<f32>>)> {
+    let loaded = read_image(path, gamma, Orientation::Upright)?;
+    let (width, height) = (loaded.image.width, loaded.image.height);
+    let alpha = loaded.alpha.map(|alpha| {
+        let pixels = alpha.into_iter().map(Vec3::splat).collect();
+        let fitted = fit(path, Image { width, height, pixels }, camera)?;
+        Ok::<_, Error>(fitted.into_iter().map(|pixel| pixel.x).collect())
+    });
+    Ok((fit(path, loaded.image, camera)?, alpha.transpose()?))
+}
+
+/// The pixels of an image, downscaled to the view's size.
+fn fit(path: &Path, image: Image, camera: &Camera) -> Result<Vec<Vec3>> {
+    let factor = image.width / camera.width.max(1);
+    let fitting = if factor > 1 { image.downscaled(factor) } else { image.clone() };
+    if (fitting.width, fitting.height) == (camera.width, camera.height) {
+        return Ok(fitting.pixels);
+    }
+    let problem = format!(
+        "the truth has {}×{} pixels, its view {}×{}",
+        image.width, image.height, camera.width, camera.height
+    );
+    let help = "A truth is as large as its view, or a whole number of times larger.";
+    Err(Error::input(path, "", problem, help))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::metrics::{ImagePair, NormalAngles};
+    use image::{Rgb, RgbImage};
+    use lobelia_io::codec::{exr::ExrLayers, exr_frame::write_channels, png_file::write_rgb8};
+
+    fn camera(size: u32) -> Camera {
+        Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 40.0, size, size).unwrap()
+    }
+
+    /// A normal as NeRF's synthetic sets store it.
+    fn stored(normal: Vec3) -> Rgb<u8> {
+        let code = |n: f32| (255.0 * lobelia_sg::color::srgb_from_linear(n)).round() as u8;
+        Rgb(normal.to_array().map(code))
+    }
+
+    /// The normals of view `r_3` as a picture of `side` pixels holds them, for a view of 2 × 2.
+    fn read(side: u32, normal: impl Fn(u32, u32) -> Vec3) -> Vec<Vec3> {
+        let folder = tempfile::tempdir().unwrap();
+        let image = RgbImage::from_fn(side, side, |x, y| stored(normal(x, y)));
+        write_rgb8(folder.path().join("r_3_normal.png"), &image).unwrap();
+        read_usual_layer(folder.path(), Layer::Normal, "r_3", &camera(2)).unwrap()
+    }
+
+    #[test]
+    fn a_png_has_the_normals_that_are_positive() {
+        let (known, tilted) = (Vec3::new(2.0, 3.0, 6.0) / 7.0, Vec3::new(0.8, 0.599, 0.04).normalize());
+        let rows = [[known, tilted], [Vec3::new(0.6, -0.8, 1e-3), Vec3::splat(0.45)]];
+        let found = read(2, |x, y| rows[y as usize][x as usize]);
+        assert!(found[0].angle_between(known) < 0.01 && found[1].angle_between(tilted) < 0.01, "{found:?}");
+        assert!((found[0].length() - 1.0).abs() < 1e-6);
+        // A negative component, and a length of 0.78.
+        assert_eq!(found[2..], [Vec3::ZERO; 2]);
+    }
+
+    #[test]
+    fn a_known_angle_is_scored() {
+        // Turned by 10° about z, everywhere but in one unknown pixel.
+        let angle =
+            |degrees: f32| Vec3::new(degrees.to_radians().cos(), degrees.to_radians().sin(), 1.0).normalize();
+        let truth = read(2, |x, y| if x + y == 0 { Vec3::X } else { angle(40.0) });
+        let expected = angle(40.0).angle_between(angle(50.0)).to_degrees();
+        let mut angles = NormalAngles::default();
+        angles.add(&ImagePair::new([2, 2], &[angle(50.0); 4], &truth, &[true; 4]).unwrap());
+        assert_eq!(angles.pixels(), 3);
+        let (mean, median) = (angles.mean_degrees().unwrap(), angles.median_degrees().unwrap());
+        assert!((mean - f64::from(expected)).abs() < 0.3 && (median - mean).abs() < 1e-4, "{mean} {median}");
+    }
+
+    #[test]
+    fn larger_pngs_are_averaged_where_all_is_known() {
+        let known = Vec3::new(2.0, 3.0, 6.0) / 7.0;
+        let found = read(4, |x, y| if (x, y) == (1, 1) { Vec3::X } else { known });
+        assert_eq!(found[0], Vec3::ZERO);
+        assert!(found[1..].iter().all(|normal| normal.angle_between(known) < 0.01), "{found:?}");
+    }
+
+    #[test]
+    fn an_exr_is_read_first_and_a_missing_file_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let read = |layer| read_usual_layer(folder.path(), layer, "r_3", &camera(2));
+        let message = read(Layer::Normal).unwrap_err().to_string();
+        assert!(message.contains("normal_3.exr") && message.contains("no true normals"), "{message}");
+        assert!(read(Layer::Albedo).unwrap_err().to_string().contains("albedo_3.exr"));
+        write_rgb8(folder.path().join("r_3_normal.png"), &RgbImage::new(2, 2)).unwrap();
+        assert_eq!(read(Layer::Normal).unwrap(), [Vec3::ZERO; 4]);
+        let values =
+            [("R", -1.0), ("G", 0.0), ("B", 0.0)].map(|(name, value)| (name.to_owned(), vec![value; 4]));
+        let layers = ExrLayers { width: 2, height: 2, channels: values.into_iter().collect() };
+        write_channels(folder.path().join("normal_3.exr"), &layers).unwrap();
+        assert_eq!(read(Layer::Normal).unwrap(), [Vec3::NEG_X; 4]);
+        assert!(read(Layer::Albedo).is_err(), "a PNG is for normals only");
+    }
+
+    #[test]
+    fn alpha_is_coverage() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("truth.png");
+        let pixel = |x: u32| image::Rgba([255, 51, 0, if x < 2 { 255 } else { 102 }]);
+        image::RgbaImage::from_fn(4, 4, |x, _| pixel(x)).save(&path).unwrap();
+        let (pixels, alpha) = read_covered(&path, Gamma::Linear, &camera(2)).unwrap();
+        let alpha = alpha.unwrap();
+        assert!((alpha[0] - 1.0).abs() < 1e-6 && (alpha[1] - 0.4).abs() < 1e-6, "{alpha:?}");
+        assert!((pixels[1] - 0.4 * Vec3::new(1.0, 0.2, 0.0)).length() < 1e-6, "{pixels:?}");
+        let files = TruthFiles { folder: folder.path(), file: Some("{view}.png") };
+        let albedo = files.read_layer(Layer::Albedo, ["truth", "truth"], &camera(2)).unwrap();
+        assert!((albedo[1] - Vec3::new(1.0, 0.2, 0.0)).length() < 1e-6, "{albedo:?}");
+    }
+
+    #[test]
+    fn files_are_named_by_view() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path().to_owned();
+        std::fs::create_dir(at.join("test_003")).unwrap();
+        let normal = Vec3::new(-2.0, 3.0, 6.0) / 7.0;
+        let code = |n: f32| (127.5 * (n + 1.0)).round() as u8;
+        let rgb =
+            RgbImage::from_fn(
+                2,
+                2,
+                |x, _| if x == 0 { Rgb(normal.to_array().map(code)) } else { Rgb([128; 3]) },
+            );
+        write_rgb8(at.join("test_003/normal.png"), &rgb).unwrap();
+        write_rgb8(at.join("test_003/albedo.png"), &RgbImage::from_pixel(2, 2, Rgb([51, 102, 255]))).unwrap();
+        let files = |file| TruthFiles { folder: &at, file: Some(file) };
+        assert!(files("{view}/rgba_city.png").image("test_003").ends_with("test_003/rgba_city.png"));
+        let names = ["train_test_003", "test_003"];
+        let found = files("{view}/normal.png").read_layer(Layer::Normal, names, &camera(2)).unwrap();
+        assert!(found[0].angle_between(normal) < 0.01 && (found[0].length() - 1.0).abs() < 1e-6, "{found:?}");
+        assert_eq!(found[1], Vec3::ZERO, "gray has no direction");
+        // Not encoded as sRGB.
+        let albedo = files("{view}/albedo.png").read_layer(Layer::Albedo, names, &camera(2)).unwrap();
+        assert!((albedo[0] - Vec3::new(0.2, 0.4, 1.0)).length() < 1e-6, "{albedo:?}");
+        let mut found = files("{view}/normal.png").found();
+        assert_eq!(found, [at.join("test_003/normal.png")]);
+        found = files("test_{view}/a{view}o.png").found();
+        assert_eq!(found, [at.join("test_003/albedo.png")]);
+        assert_eq!(TruthFiles { folder: &at, file: None }.found(), [at.join("test_003")]);
+        let missing = files("{view}/depth.png").read_layer(Layer::Albedo, names, &camera(2)).unwrap_err();
+        assert!(missing.to_string().contains("test_003/depth.png"), "{missing}");
+    }
 }

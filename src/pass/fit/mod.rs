@@ -2,10 +2,8 @@
 //!
 //! | module | holds |
 //! | --- | --- |
-//! | [`steps`] | its settings, its log, its steps, and the geometry that moves with it |
-//! | [`choices`] | what it chooses on its way: base materials and distribution of normals |
+//! | [`steps`] | its settings, its log, its steps with the geometry that moves, and what it chooses on its way: base materials and distribution of normals |
 
-pub(crate) mod choices;
 pub(crate) mod steps;
 
 use crate::pass::save::{RGB, vector_channels, weight_channels, write_layers};
@@ -14,7 +12,6 @@ use crate::report::{scores::ScaleFound, tone::srgb8};
 use crate::scene::{FitPass, Gloss, Tilt, Views};
 use crate::{pass::export::carried_blends, pass::run::session::Session, spawn::initial_specular};
 use bevy_ecs::prelude::{With, World};
-use choices::take_steps_and_choose;
 use glam::{Vec2, Vec3, Vec3A};
 use image::{Rgb, RgbImage};
 use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_stopping};
@@ -43,7 +40,7 @@ use lobelia_world::{material::tilt::has_tilt, pipeline::Phase, pipeline::Slot, s
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 use std::{path::Path, sync::Arc, time::Instant};
-use steps::{begin_log, take_log};
+use steps::{begin_log, take_log, take_steps_and_choose};
 use tracing::info_span;
 
 /// A picture of the light of the object that took its own photographs, as `environment.png` is of the recovered one.

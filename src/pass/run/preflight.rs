@@ -2,16 +2,18 @@
 //! missing ground truth is an error at the start, not after a long fit. `lobelia check` makes the
 //! same checks.
 
+use crate::pass::evaluate::{PARTS, read_fitting};
+use crate::pass::render::{chosen_stems, chosen_views, film_files};
+use crate::pass::run::{record::PassRecord, session::Session};
 use crate::pass::{
-    evaluate::PARTS, export, fit::TRUE_ENVIRONMENT, fit::light_files, photograph::ring, render::chosen_stems,
-    render::chosen_views, render::film_files, run::record::PassRecord, run::session::Session,
-    show::apply_edits, show::edits_of_nothing, truth_files::read_fitting, view::PAGE, view_report::VIEWS,
+    fit::TRUE_ENVIRONMENT, fit::light_files, photograph::ring, view::PAGE, view_report::VIEWS,
 };
 use crate::scene::{
     EvaluatePass, Gloss, LayerTruth, Light, LightSource, Pass, PlacementLight, RenderPass, RenderSettings,
     Scene, Truth, TruthFiles, ViewChoice, Views, load::LoadedScene,
 };
-use crate::{spawn::light::files_of, spawn::light::inlined, survey::open::OpenScene};
+use crate::spawn::light::{files_of, inlined};
+use crate::{pass::export, pass::show::apply_edits, pass::show::edits_of_nothing, survey::open::OpenScene};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use lobelia_geometry::view::{Frame, Photograph, Split, ViewName, ViewRecord};

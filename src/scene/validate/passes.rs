@@ -3,7 +3,7 @@
 use crate::scene::{
     Albedo, ColorAction, Edit, EvaluatePass, ExportPass, ExportScale, FitPass, FitShading, Gloss, LayerTruth,
     Light, Orbit, Pass, Rates, Region, RenderSettings, Roughness, ScalarAction, Scene, Shading, ShapePass,
-    SpecularAlbedo, Surface, Truth, VIEW, Views, validate::light_source, validate::place::Place,
+    SpecularAlbedo, Surface, Truth, VIEW, Views, validate::Place, validate::light_source,
 };
 use lobelia_io::codec::nearby::closest;
 use lobelia_sg::brdf::Ndf;
