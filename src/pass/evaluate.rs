@@ -65,8 +65,8 @@ pub(crate) fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
         views += views_of(session, &score.pass)?.len();
     }
     let side = side_within(views * PARTS.len(), VIEWS_BUDGET);
-    let rows: Vec<SheetRow> =
-        (0..pass.scores.len()).map(|i| score_pass(session, pass, i, side)).collect::<Result<_>>()?;
+    let count = pass.scores.len();
+    let rows: Vec<_> = (0..count).map(|i| score_pass(session, pass, i, side)).collect::<Result<_>>()?;
     if let Some(path) = &pass.mesh {
         let (found, truth) = (session.surface.mesh(), read_mesh(path)?);
         session.scores.chamfer = chamfer_distance(found, &truth, session.scene.seed);
@@ -417,10 +417,8 @@ fn fit(path: &Path, image: Image, camera: &Camera) -> Result<Vec<Vec3>> {
     if (fitting.width, fitting.height) == (camera.width, camera.height) {
         return Ok(fitting.pixels);
     }
-    let problem = format!(
-        "the truth has {}×{} pixels, its view {}×{}",
-        image.width, image.height, camera.width, camera.height
-    );
+    let Camera { width, height, .. } = camera;
+    let problem = format!("the truth has {}×{} pixels, its view {width}×{height}", image.width, image.height);
     let help = "A truth is as large as its view, or a whole number of times larger.";
     Err(Error::input(path, "", problem, help))
 }

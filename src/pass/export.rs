@@ -126,13 +126,11 @@ fn usd(object: &Object) -> Result<UsdMaterial> {
         return Ok(UsdMaterial { diffuse, specular, roughness });
     }
     let f0: Vec<_> = look.dielectrics.iter().map(|dielectric| dielectric.f0).collect();
+    let gray = look.roughness.iter().map(|r| [byte(*r)]);
     Ok(UsdMaterial {
         diffuse,
         specular: UsdInput::Texture(image(REFLECTANCE, object.color_png(&f0)?)),
-        roughness: UsdInput::Texture(image(
-            ROUGHNESS,
-            object.png(look.roughness.iter().map(|r| [byte(*r)]))?,
-        )),
+        roughness: UsdInput::Texture(image(ROUGHNESS, object.png(gray)?)),
     })
 }
 
@@ -338,13 +336,8 @@ impl Object {
         };
         let albedo = carried(&self.albedo);
         let blends = self.blends.as_ref().map(|blends| carried_blends(blends, &carried));
-        Ok(Self {
-            surface: Arc::new(surface),
-            albedo,
-            lobes: self.lobes.clone(),
-            blends,
-            relative_normals: Some(normals),
-        })
+        let (surface, lobes, relative_normals) = (Arc::new(surface), self.lobes.clone(), Some(normals));
+        Ok(Self { surface, albedo, lobes, blends, relative_normals })
     }
 
     /// The material that reflects as much in other programs; `f90` is F90 where it is given.

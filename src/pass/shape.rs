@@ -220,8 +220,7 @@ fn refined<T>(
 
 /// Moves the contours of the field to the outlines of the masks, and says what came of it.
 fn match_outlines(session: &mut Session, name: &str, surface: &mut SdfSurface) {
-    let (report, seconds) =
-        refined(session, name, "outlines", 0, |world, _| refine_by_outlines(world, surface));
+    let (report, seconds) = refined(session, name, "outlines", 0, |of, _| refine_by_outlines(of, surface));
     session.progress.print(&format!(
         "{name}: outlines in {seconds:.1} s, {:.2} pixels off before, {:.2} after",
         report.before, report.after
@@ -263,9 +262,7 @@ fn match_reflections(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool
             "turned by {:.1}° (median), {error:.0} % of the error in photographs kept aside; from here on vertices do not move",
             report.turned_degrees
         ),
-        Some(error) => {
-            format!("those of the mesh are kept: {error:.0} % of the error in photographs kept aside")
-        }
+        Some(of) => format!("those of the mesh are kept: {of:.0} % of the error in photographs kept aside"),
         None => format!("those of the mesh explain {:.0} %", 100.0 * (1.0 - report.unexplained)),
     };
     session.progress.print(&format!("{name}: normals by reflections in {seconds:.1} s, {found}"));

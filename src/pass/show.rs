@@ -119,15 +119,14 @@ pub fn apply_edits(state: &mut MaterialState, edits: &[Edit], surface: &Surface)
 
 fn resolved(edits: &[Edit], surface: &Surface) -> Result<Vec<ResolvedEdit>> {
     let atlas = surface.atlas();
+    let (width, height) = (atlas.width, atlas.height);
     let blend = |value: Vec3, weight: f32| EditAction::Blend { value, weight };
     let color = |action: &ColorAction| -> Result<EditAction> {
         Ok(match action {
             ColorAction::Set(color) => EditAction::Set(*color),
             ColorAction::Scale(factor) => EditAction::Scale(*factor),
             ColorAction::Blend { color, weight } => blend(*color, *weight),
-            ColorAction::Texture(path) => {
-                EditAction::PerTexel(read_texture(path, atlas.width, atlas.height)?.into())
-            }
+            ColorAction::Texture(path) => EditAction::PerTexel(read_texture(path, width, height)?.into()),
         })
     };
     let resolve = |edit: &Edit| {
@@ -167,8 +166,7 @@ fn region_weights(region: &Region, atlas: &TexelAtlas) -> Result<Option<Vec<f32>
     let each = |depth: &(dyn Fn(Vec3) -> f32 + Sync), falloff: f32| {
         Some(atlas.position.par_iter().map(|p| weight_at(depth(*p), falloff)).collect::<Vec<f32>>())
     };
-    let around =
-        |line: &[Vec3], radius: f32, falloff: f32| each(&|p| radius - distance_to_line(p, line), falloff);
+    let around = |line: &[Vec3], radius, falloff| each(&|p| radius - distance_to_line(p, line), falloff);
     Ok(match region {
         Region::All => None,
         Region::Box { min, max, falloff } => {

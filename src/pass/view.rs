@@ -43,7 +43,7 @@ pub(crate) fn write_page(
     let edits = session.pass_named(pass.of.as_deref()).map_or(&[][..], Pass::edits);
     let edits = edits.iter().map(edit_to_ron).collect::<Result<Vec<String>>>()?;
     let shadows = session.has_visibility()?;
-    let (views, mut cameras): (Vec<Entity>, Vec<PageCamera>) =
+    let (views, mut cameras): (Vec<_>, Vec<_>) =
         page_cameras(&mut session.pipeline.world).into_iter().unzip();
     let embedded = add_photographs(&session.pipeline.world, &views, &mut cameras, pass.photographs as usize)?;
     let world = &mut session.pipeline.world;
@@ -106,7 +106,7 @@ fn add_photographs(world: &World, views: &[Entity], cameras: &mut [PageCamera], 
     };
     let mut chosen = Vec::new();
     for split in [Split::Test, Split::Train] {
-        let there: Vec<usize> =
+        let there: Vec<_> =
             (0..views.len()).filter(|&i| cameras[i].split == split && is_there(views[i])).collect();
         chosen.extend(choose_evenly(there.len(), max - chosen.len()).into_iter().map(|i| there[i]));
     }

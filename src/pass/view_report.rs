@@ -74,8 +74,7 @@ fn silhouettes(
 ) -> Vec<(Entity, ViewIndex, ViewOutcome)> {
     let world = &mut session.pipeline.world;
     let mut query = world.query_filtered::<(Entity, &ViewIndex, &Split), With<Photograph>>();
-    let mut views: Vec<(Entity, ViewIndex, Split)> =
-        query.iter(world).map(|(view, index, split)| (view, *index, *split)).collect();
+    let mut views: Vec<_> = query.iter(world).map(|(view, index, split)| (view, *index, *split)).collect();
     views.retain(|(view, _, split)| wanted(*view, *split));
     views.sort_by_key(|(_, index, _)| *index);
     let (world, surface) = (&session.pipeline.world, &session.surface);
@@ -133,9 +132,7 @@ fn warnings(views: &[(ViewOutcome, ViewSum)], lobes: &[LightLobe]) -> Vec<String
     let mut shares: Vec<f32> = views.iter().filter_map(|(view, _)| Some(view.outliers? as f32)).collect();
     let usual = f64::from(median(&mut shares).unwrap_or(0.0));
     let wrong = names(&|view, _| view.outliers.is_some_and(|share| share > OUTLIERS && share > 2.0 * usual));
-    add(&wrong, &|views| {
-        format!("most pixels of {views} are not explained: a wrong pose, mask or exposure?")
-    });
+    add(&wrong, &|of| format!("most pixels of {of} are not explained: a wrong pose, mask or exposure?"));
     found.extend(runaway(lobes, views));
     found
 }
@@ -143,7 +140,7 @@ fn warnings(views: &[(ViewOutcome, ViewSum)], lobes: &[LightLobe]) -> Vec<String
 /// A light that is brighter than anything that photographs of this brightness can show.
 fn runaway(lobes: &[LightLobe], views: &[(ViewOutcome, ViewSum)]) -> Option<String> {
     let (sum, pixels) =
-        views.iter().fold((0.0, 0), |(sum, pixels), (_, view)| (sum + view.observed, pixels + view.pixels));
+        views.iter().fold((0.0, 0), |(sum, pixels), (_, of)| (sum + of.observed, pixels + of.pixels));
     let usual = (sum / pixels.max(1) as f64).max(1e-6) as f32;
     // A lobe's light is its amplitude over its solid angle, about 2π over its sharpness.
     let light = |lobe: &LightLobe| {

@@ -155,7 +155,7 @@ pub enum Light {
 
 impl Default for Light {
     fn default() -> Self {
-        Self::Unknown(UnknownLight::default())
+        Self::Unknown(UnknownLight { lobes: 128 })
     }
 }
 
@@ -199,16 +199,11 @@ impl From<LightFrame> for LightFrameChoice {
 
 /// A light that is not known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[serde(deny_unknown_fields)]
 pub struct UnknownLight {
     /// How many SG lobes to fit, 1 to 2048. Default 128.
+    #[serde(default = "number::<128>")]
     pub lobes: u32,
-}
-
-impl Default for UnknownLight {
-    fn default() -> Self {
-        Self { lobes: 128 }
-    }
 }
 
 /// A light that is given.

@@ -55,7 +55,7 @@ impl SceneText<'_> {
     /// Values that are wrong, all at once.
     pub fn problems(&self, root: Option<&Node>, problems: Vec<Problem>) -> Error {
         let place = |path: &str| root.map_or(0..0, |root| root.locate(self.text, path).0);
-        let mut faults: Vec<Fault> =
+        let mut faults: Vec<_> =
             problems.into_iter().map(|p| fault(p.problem, place(&p.path), p.expected, &p.help)).collect();
         faults.sort_by_key(|fault| fault.labels[0].at.start);
         self.error(faults)

@@ -69,7 +69,7 @@ fn what_is_there(text: &str, node: &Node) -> String {
         Body::Items(items) => {
             let is_plain = |item: &Node| item.body == Body::Plain;
             let names: Vec<String> =
-                items.iter().filter(|item| !is_plain(item)).filter_map(|item| label(item, text)).collect();
+                items.iter().filter(|of| !is_plain(of)).filter_map(|of| label(of, text)).collect();
             match names.is_empty() {
                 true => format!("It has items 0 to {}.", items.len() - 1),
                 false => format!("It has: {}.", names.join(", ")),
@@ -133,9 +133,7 @@ fn walk(node: &Node, text: &str, path: &str, found: &mut Vec<(String, String)>) 
 fn kinds(node: &Node, inner: &Node, text: &str) -> String {
     let own = node.name(text).unwrap_or_default();
     match &node.body {
-        Body::Items(items) if !std::ptr::eq(node, inner) => {
-            format!("{own}({})", kinds(&items[0], inner, text))
-        }
+        Body::Items(of) if !std::ptr::eq(node, inner) => format!("{own}({})", kinds(&of[0], inner, text)),
         _ => own.to_owned(),
     }
 }

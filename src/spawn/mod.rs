@@ -168,8 +168,8 @@ fn initial_gloss(
             let blend = SpecularBlend(TexelRoughness::first(specular.roughness, *varied).weights());
             Ok((lobes.to_vec(), vec![blend; count]))
         }
-        Gloss::Fixed { lobes, weights } => {
-            Ok((lobes.clone(), texture::read_weights(weights, lobes.len(), width, height)?))
+        Gloss::Fixed { lobes, weights: of } => {
+            Ok((lobes.clone(), texture::read_weights(of, lobes.len(), width, height)?))
         }
     }
 }
@@ -269,8 +269,8 @@ pub fn make_surface(spec: &SurfaceSpec, views: &[ViewRecord], use_of: SurfaceUse
             SurfaceUse::UntilShape => hull_of_masks(views, DRAFT.0.min(*cells), DRAFT.1.min(*texture_size)),
             SurfaceUse::Checks => Ok((Surface::new(sphere_mesh(Vec3::ZERO, SPECK)?, DRAFT.1)?, Vec::new())),
         },
-        SurfaceSpec::Mesh { path, texture_size: size, own_material } => {
-            mesh_of_file(path, *size, *own_material)
+        SurfaceSpec::Mesh { path, texture_size, own_material: own } => {
+            mesh_of_file(path, *texture_size, *own)
         }
         SurfaceSpec::Sphere { center, radius, texture_size } => {
             Ok((Surface::new(sphere_mesh(*center, *radius)?, *texture_size)?, Vec::new()))

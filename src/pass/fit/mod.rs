@@ -175,9 +175,8 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
     if let Some(part) = summary.explained_by_sheen.map(|part| 100.0 * part) {
         let found = has_sheen(&read_column::<TexelIndex, DiffuseSheen>(world).unwrap_or_default());
         let words = if found { "a sheen" } else { "no sheen" };
-        session.progress.print(&format!(
-            "{name}: {words}: it explains {part:.1} % of the squared error of views kept aside"
-        ));
+        let of = "of the squared error of views kept aside";
+        session.progress.print(&format!("{name}: {words}: it explains {part:.1} % {of}"));
     }
     session.scores.determined = summary.determined;
     if let Some(words) = summary.determined.and_then(|found| found.words()) {
@@ -259,11 +258,9 @@ fn materials_ron(materials: &[(usize, SpecularLobe)], scale: &ScaleFound) -> Str
     let _ = writeln!(text, "// Scale {rule}: mean light {mean_light:?}, mean albedo {mean_albedo:?}.\n[");
     for (_, lobe) in materials {
         let [r, g, b] = lobe.albedo.to_array();
-        let _ = writeln!(
-            text,
-            "    (albedo: ({r:?}, {g:?}, {b:?}), roughness: {:?}, ndf: {:?}),",
-            lobe.roughness, lobe.ndf
-        );
+        let SpecularLobe { roughness, ndf, .. } = lobe;
+        let _ =
+            writeln!(text, "    (albedo: ({r:?}, {g:?}, {b:?}), roughness: {roughness:?}, ndf: {ndf:?}),");
     }
     text.push_str("]\n");
     text

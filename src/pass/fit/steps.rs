@@ -188,9 +188,8 @@ fn choose(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     let saved = checkpoint::save(world, Span::Pass)?;
     let tried = try_several(session, pass, options, first);
     let found = tried.as_ref().ok().copied().filter(|_| !is_stopping());
-    let enough = if session.kept.placed.normals { CLEARLY_POLISHED } else { CLEARLY };
-    session.kept.several =
-        found.is_some_and(|(error, ended)| ended.is_none() && error < enough * first.error);
+    let most = if session.kept.placed.normals { CLEARLY_POLISHED } else { CLEARLY };
+    session.kept.several = found.is_some_and(|(error, ended)| ended.is_none() && error < most * first.error);
     if session.kept.several {
         begin_log(&mut session.pipeline.world);
     } else {
@@ -202,10 +201,10 @@ fn choose(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     let steps = first.summary.steps;
     let seconds = start.elapsed().as_secs_f64();
     let tried = MaterialsTried { one: first.error, several, steps, given_up, seconds };
-    let again =
-        if session.kept.several || given_up.is_some() { None } else { asked_again(tried, pass.steps) };
+    let several_chosen = session.kept.several;
+    let again = asked_again(tried, pass.steps).filter(|_| !several_chosen && given_up.is_none());
     session.kept.chosen.again_after = again;
-    let chosen = match (session.kept.several, again) {
+    let chosen = match (several_chosen, again) {
         (true, _) => "several base materials are chosen".to_owned(),
         (false, None) => "one base material is chosen".to_owned(),
         (false, Some(steps)) => format!("one base material is kept until step {steps}"),
@@ -288,9 +287,8 @@ fn try_ggx(session: &mut Session, pass: &FitPass, sg: &Steps) -> Result<()> {
     let before = checkpoint::save(world, Span::Pass)?;
     let first = first_material(world);
     put_lobe(world, SpecularLobe { ndf: Ndf::Ggx, ..first });
-    let hopeless = |step: u32, error: f64| {
-        NDF_HOPELESS.iter().any(|(from, most)| step >= *from && error > most * sg.error)
-    };
+    let hopeless =
+        |step, error| NDF_HOPELESS.iter().any(|(from, most)| step >= *from && error > most * sg.error);
     let tried = error_after(session, &options, &format!("{}, GGX", pass.name), NDF_TRIED, hopeless);
     let world = &mut session.pipeline.world;
     let found = first_material(world);
@@ -300,14 +298,8 @@ fn try_ggx(session: &mut Session, pass: &FitPass, sg: &Steps) -> Result<()> {
         return Err(Error::Interrupted);
     }
     let (ggx_albedo, ggx_roughness) = (found.albedo.to_array(), found.roughness);
-    session.scores.ndf_tried = Some(NdfTried {
-        ggx,
-        sg: None,
-        ggx_albedo,
-        ggx_roughness,
-        given_up,
-        steps: options.done.steps + NDF_TRIED,
-    });
+    let steps = options.done.steps + NDF_TRIED;
+    session.scores.ndf_tried = Some(NdfTried { ggx, sg: None, ggx_albedo, ggx_roughness, given_up, steps });
     Ok(())
 }
 
@@ -369,7 +361,7 @@ pub fn closed_form(shading: FitShading, quality: Quality) -> ClosedForm {
 }
 
 /// The settings of a fit that goes on from `done`.
-pub(super) fn options(session: &mut Session, pass: &FitPass, done: Done) -> Result<FitOptions> {
+fn options(session: &mut Session, pass: &FitPass, done: Done) -> Result<FitOptions> {
     Ok(FitOptions {
         loss: pass.loss,
         form: closed_form(pass.shading, pass.quality),
@@ -396,7 +388,7 @@ pub(super) fn options(session: &mut Session, pass: &FitPass, done: Done) -> Resu
 
 /// Why steps of a fit ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Ended {
+enum Ended {
     /// All are done, or the run is stopped.
     Done,
     /// Too little is explained at the step that was asked about.
@@ -406,7 +398,7 @@ pub(super) enum Ended {
 }
 
 /// The result of some steps of a fit.
-pub(super) struct Steps {
+struct Steps {
     pub summary: FitSummary,
     /// Mean absolute error of radiance over the last of them.
     pub error: f64,
@@ -417,7 +409,7 @@ pub(super) struct Steps {
 
 /// Takes steps of a fit; ends at the step that is `asked` about if the PSNR is below the given one there, and where a
 /// checkpoint is due, if cameras and vertices stand still. What it has found is checked, and kept also if it is stopped.
-pub(super) fn take_steps(
+fn take_steps(
     session: &mut Session,
     pass: &FitPass,
     options: &FitOptions,
@@ -485,11 +477,11 @@ pub(super) fn take_steps(
 }
 
 /// The mean absolute error of radiance over the last steps of a trial, and after how many it was given up, if it was.
-pub(super) type Tried = (f64, Option<u32>);
+type Tried = (f64, Option<u32>);
 
 /// Takes steps on trial, without a log and with geometry as it is. It is given up when it is `hopeless` by their number, and by the
 /// error over enough pixels.
-pub(super) fn error_after(
+fn error_after(
     session: &mut Session,
     options: &FitOptions,
     title: &str,
@@ -515,7 +507,7 @@ pub(super) fn error_after(
 }
 
 /// Makes the next step find shadows and reflected light anew, as one that goes on from a checkpoint does.
-pub(super) fn forget_shadows(world: &mut World) {
+fn forget_shadows(world: &mut World) {
     if let Some(traced) = world.get_resource::<ObjectVisibility>() {
         let unlit = traced.unlit();
         world.insert_resource(unlit);
@@ -525,19 +517,13 @@ pub(super) fn forget_shadows(world: &mut World) {
 
 /// Adds a line to a log: `step` of a `Fit` or `Shape`.
 pub(crate) fn log_line(log: &mut String, step: u32, at: &FitProgress) {
-    let s = at.specular;
+    let Vec3 { x: r, y: g, z: b } = at.specular.albedo;
+    let (secs, loss, psnr) = (at.elapsed_secs, at.sums.mean(), at.sums.psnr());
     // Writing to a String cannot fail.
     let _ = writeln!(
         log,
-        "{step},{:.3},{:.6},{:.3},{:.4},{:.4},{:.4},{:.4},{}",
-        at.elapsed_secs,
-        at.sums.mean(),
-        at.sums.psnr(),
-        s.albedo.x,
-        s.albedo.y,
-        s.albedo.z,
-        s.roughness,
-        at.lobes
+        "{step},{secs:.3},{loss:.6},{psnr:.3},{r:.4},{g:.4},{b:.4},{:.4},{}",
+        at.specular.roughness, at.lobes
     );
 }
 

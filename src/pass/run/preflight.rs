@@ -41,7 +41,7 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
             ring(&spec.cameras, scene.up).into_iter().map(|view| (view.name, view.split)).collect()
         }
         (Views::Dataset(_), Some(open)) => {
-            open.views.iter().map(|view| (view.name().to_owned(), view.split())).collect()
+            open.views.iter().map(|of| (of.name().to_owned(), of.split())).collect()
         }
         (Views::Dataset(_), None) => Vec::new(),
     };
@@ -169,8 +169,7 @@ pub fn check_outputs(
     help: &str,
 ) -> Result<()> {
     check_apart(&inputs(loaded, open), outputs, help)?;
-    let pictures: Vec<FileUse> =
-        open.iter().flat_map(|of| &of.views).flat_map(|view| view.pictures()).collect();
+    let pictures: Vec<_> = open.iter().flat_map(|of| &of.views).flat_map(|view| view.pictures()).collect();
     check_not_among(&pictures, outputs, help)
 }
 
@@ -283,10 +282,8 @@ pub(super) fn check_passes(session: &mut Session) -> Result<()> {
         if !pass.edits().is_empty() {
             apply_edits(&mut unedited.clone(), pass.edits(), &session.surface)?;
             for number in edits_of_nothing(pass.edits(), &session.surface)? {
-                let number = number + 1;
-                session.progress.note(&format!(
-                    "pass {name}: edit {number} changes nothing: its region contains no texel"
-                ));
+                let which = format!("pass {name}: edit {}", number + 1);
+                session.progress.note(&format!("{which} changes nothing: its region contains no texel"));
             }
         }
         if let Pass::Evaluate(pass) = pass {

@@ -114,8 +114,7 @@ impl RunStart {
             return other(problem, "Put it back as it was");
         }
         if self.views != now.views {
-            let problem =
-                "the cameras or lists of views of the data are not what they were when the run was begun";
+            let problem = "the cameras or lists of views are not what they were when the run was begun";
             return other(problem, "Put them back as they were");
         }
         if self.within_memory != now.within_memory {

@@ -116,7 +116,7 @@ impl<'a> Session<'a> {
             PlacementLight::Fixed(source) => load(&source).map(Some),
             PlacementLight::Own | PlacementLight::Same => Ok(None),
         };
-        let other_lights: Vec<Option<LoadedLight>> =
+        let other_lights: Vec<_> =
             scene.views.other_lights().into_iter().map(of_group).collect::<Result<_>>()?;
         let of_pass = |pass: &Pass| Some(load(pass.light()?).map(|light| (pass.name().to_owned(), light)));
         let pass_lights = scene.passes.iter().filter_map(of_pass).collect::<Result<_>>()?;
@@ -174,11 +174,10 @@ impl<'a> Session<'a> {
             let bytes = settings.bytes(texels, views.placements(), views.other_lights().len() + 1);
             if bytes > MOST_VISIBILITY_BYTES {
                 let gib = bytes as f64 / f64::from(1 << 30);
-                let problem =
-                    format!("shadows of {texels} texels in {directions} directions may take {gib:.1} GiB");
-                let help =
-                    "Lower `texture_size` or `visibility: Traced(directions: …)`, or say `visibility: None`.";
-                return Err(Error::usage(problem, help));
+                return Err(Error::usage(
+                    format!("shadows of {texels} texels in {directions} directions may take {gib:.1} GiB"),
+                    "Lower `texture_size` or `visibility: Traced(directions: …)`, or say `visibility: None`.",
+                ));
             }
             let start = Instant::now();
             let _tracing = info_span!("shadows traced").entered();

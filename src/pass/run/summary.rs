@@ -115,8 +115,8 @@ impl Reporter {
 fn worst_views(world: &mut World) -> PassViews {
     let sums = world.run_system_cached(sums_of_step).ok().and_then(|sums| sums.ok()).unwrap_or_default();
     let mut query = world.query::<(Entity, &ViewIndex, &ViewName)>();
-    let view = |(entity, index, name): (Entity, &ViewIndex, &ViewName)| {
-        Some((sums.of(*index).psnr()?, entity, name.0.clone()))
+    let view = |(view, index, name): (Entity, &ViewIndex, &ViewName)| {
+        Some((sums.of(*index).psnr()?, view, name.0.clone()))
     };
     let mut views: Vec<(f64, Entity, String)> = query.iter(world).filter_map(view).collect();
     views.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -125,11 +125,8 @@ fn worst_views(world: &mut World) -> PassViews {
         let truth = photograph.map(|photograph| photograph.address);
         ViewReport { name: format!("{name}, {psnr:.1} dB"), truth, ..ViewReport::default() }
     });
-    PassViews {
-        pass: "worst training views, by the pixels of the last step".to_owned(),
-        views: shown.collect(),
-        left_out: 0,
-    }
+    let pass = "worst training views, by the pixels of the last step".to_owned();
+    PassViews { pass, views: shown.collect(), left_out: 0 }
 }
 
 /// Reads the contents of the report of a run in `out` from its files.
@@ -219,7 +216,7 @@ fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) 
 fn parse_log(pass: &str, text: &str) -> Option<FitLog> {
     let mut lines = text.lines();
     let mut columns: Vec<(String, Vec<f64>)> =
-        lines.next()?.split(',').map(|name| (name.to_owned(), Vec::new())).collect();
+        lines.next()?.split(',').map(|of| (of.to_owned(), vec![])).collect();
     for line in lines {
         let step = line.split(',').next()?.parse().unwrap_or(f64::NAN);
         let kept = columns[0].1.iter().take_while(|before| **before < step).count();
@@ -433,10 +430,9 @@ impl Pictures {
 /// The picture without transparency.
 fn on_mat(picture: &RgbaImage) -> RgbImage {
     RgbImage::from_fn(picture.width(), picture.height(), |x, y| {
-        let [r, g, b, a] = picture.get_pixel(x, y).0;
-        let over =
-            |c: u8, m: u8| ((u32::from(c) * u32::from(a) + u32::from(m) * (255 - u32::from(a))) / 255) as u8;
-        Rgb([over(r, MAT[0]), over(g, MAT[1]), over(b, MAT[2])])
+        let [color @ .., alpha] = picture.get_pixel(x, y).0.map(u32::from);
+        let over = |c: usize| ((color[c] * alpha + u32::from(MAT[c]) * (255 - alpha)) / 255) as u8;
+        Rgb([0, 1, 2].map(over))
     })
 }
 

@@ -143,17 +143,14 @@ fn dataset(at: &Place, dataset: &mut Dataset, light: &Light) {
 
 /// The light of a placement beside the scene's own.
 fn placement_light(at: &Place, placement: &mut PlacementSpec, is_first: bool, own: &Light) {
-    let is_known = matches!(own, Light::Fixed(_));
+    let (is_known, is_unknown) = (matches!(own, Light::Fixed(_)), matches!(own, Light::Unknown(_)));
     let (value, suits, expected) = match &mut placement.light {
         PlacementLight::Same => return,
         _ if is_first => ("said", false, "nothing: the first placement is in the scene's `light`"),
         PlacementLight::Own if is_known => {
             ("Own", false, "Fixed(…), as the scene's `light` is known, or Same")
         }
-        PlacementLight::Own => {
-            let unknown = matches!(own, Light::Unknown(_));
-            ("Own", unknown, "Same, or a scene's `light` that is Unknown(…) and not Initial(…)")
-        }
+        PlacementLight::Own => ("Own", is_unknown, "Same, or a scene's `light` that is Unknown(…)"),
         PlacementLight::Fixed(source) => {
             light_source(&at.at("light"), source);
             ("Fixed(…)", is_known, "Own, as the scene's `light` is not known, or Same")
