@@ -11,9 +11,7 @@ use crate::report::scores::{EvalView, PassScores, Scaling, ViewScores, score_vie
 use crate::report::sheet::{SheetRow, choose_evenly, write_sheet};
 use crate::report::tone::{Picture, VIEWS_BUDGET, error_map, side_within, write_thumbnail};
 use crate::scene::{EvaluatePass, LayerTruth, Pass, ScoreScale, Truth, TruthFiles, VIEW};
-use bevy_ecs::prelude::Entity;
 use glam::Vec3;
-use image::RgbImage;
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
 use lobelia_geometry::mesh::nearest::chamfer_distance;
 use lobelia_geometry::view::{Image, Photograph, Placement, ViewMask, camera::Camera};
@@ -93,7 +91,19 @@ fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -
     };
     let views = views_of(session, &score.pass)?;
     let truths = match (&score.truth, score.truth.files()) {
-        (Truth::SelfMade { spp }, _) => TrueImages::Made(self_made(session, &score.pass, &views, *spp)?),
+        // The true object under the light and edits of the pass.
+        (Truth::SelfMade { spp }, _) => {
+            let edits = session.pass_named(Some(&score.pass)).map_or(&[] as &[_], Pass::edits);
+            let (light, world) = (session.pass_lights.get(&score.pass), &session.pipeline.world);
+            let of = |view: &ChosenView| world.get::<Placement>(view.entity).copied().unwrap_or_default();
+            let shown: Vec<_> = views.iter().map(|view| (view.camera, of(view))).collect();
+            let bar = session.progress.bar("truth", views.len() as u64);
+            let seed = session.scene.seed.wrapping_add(1_000_003);
+            let truth = session.truth.as_mut().ok_or_else(no_true_object)?;
+            let frames = truth.pictures(&shown, light, edits, *spp, seed, || bar.inc(1))?;
+            bar.finish_and_clear();
+            TrueImages::Made(frames.into_iter().map(|frame| frame.color).collect())
+        }
         (_, Some(files)) => TrueImages::Files(views.iter().map(|view| files.image(&view.name)).collect()),
         (_, None) => TrueImages::Photographs,
     };
@@ -177,20 +187,6 @@ fn views_of(session: &mut Session, pass: &str) -> Result<Vec<ChosenView>> {
     let settings = session.pass_named(Some(pass)).and_then(Pass::render);
     let none = || Error::run("evaluate", format!("there is no earlier pass {pass} that renders"));
     Ok(chosen_views(&mut session.pipeline.world, settings.ok_or_else(none)?))
-}
-
-/// The true object under the light and edits of the pass.
-fn self_made(session: &mut Session, pass: &str, views: &[ChosenView], spp: u32) -> Result<Vec<Vec<Vec3>>> {
-    let edits = session.pass_named(Some(pass)).map_or(&[] as &[_], Pass::edits);
-    let light = session.pass_lights.get(pass);
-    let of = |view: Entity| session.pipeline.world.get::<Placement>(view).copied().unwrap_or_default();
-    let views: Vec<(Camera, Placement)> = views.iter().map(|view| (view.camera, of(view.entity))).collect();
-    let bar = session.progress.bar("truth", views.len() as u64);
-    let seed = session.scene.seed.wrapping_add(1_000_003);
-    let truth = session.truth.as_mut().ok_or_else(no_true_object)?;
-    let frames = truth.pictures(&views, light, edits, spp, seed, || bar.inc(1))?;
-    bar.finish_and_clear();
-    Ok(frames.into_iter().map(|frame| frame.color).collect())
 }
 
 fn no_true_object() -> Error {
@@ -282,7 +278,10 @@ fn show_views(
         let shown = scores.scored_prediction(&view.eval);
         outliers.push(outlier_share(&view.eval, &shown));
         let error = error_map([*width, *height], [&shown, truth], view.outline());
-        let pictures = [picture(&view, truth)?, picture(&view, &shown)?, error];
+        // On the mat of a light sheet.
+        let (width, height, alpha) = (*width, *height, view.outline());
+        let picture = |color: &[Vec3]| Picture { width, height, color, alpha }.on_mat();
+        let pictures = [picture(truth)?, picture(&shown)?, error];
         for (part, picture) in PARTS.iter().zip(&pictures) {
             write_thumbnail(&folder.join(format!("{}_{part}.jpg", chosen.stem)), picture, side)?;
         }
@@ -294,12 +293,6 @@ fn show_views(
         }
     }
     Ok((SheetRow { heading: format!("{}: {}", scored.name, scores.summary()), cells }, outliers))
-}
-
-/// Radiance of a view as a picture on the mat of a light sheet.
-fn picture(view: &ScoredView, color: &[Vec3]) -> Result<RgbImage> {
-    let EvalView { width, height, .. } = view.eval;
-    Picture { width, height, color, alpha: view.outline() }.on_mat()
 }
 
 /// Lengths between which a normal of a PNG is known. Its components are rounded and averaged over a pixel, and one that is black

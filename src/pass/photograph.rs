@@ -76,7 +76,13 @@ impl TrueObject {
         seed: u64,
         mut done: impl FnMut(),
     ) -> Result<Vec<Frame>> {
-        let lights = self.spawn_lights(light);
+        // Each is named by `name_of`.
+        let frame = light.is_none().then_some(self.light_frame);
+        let lights = light.map_or(self.lights.as_slice(), std::slice::from_ref);
+        for (number, LoadedLight { lobes, map, .. }) in lights.iter().enumerate() {
+            let spawned = spawn_light(&mut self.pipeline.world, name_of(number), lobes, map.clone());
+            frame.into_iter().for_each(|frame| _ = self.pipeline.world.entity_mut(spawned).insert(frame));
+        }
         spawn_edits(&mut self.pipeline.world, TRUTH, edits, &self.surface)?;
         self.pipeline.swap(Phase::Frame, Slot::Material, show_edited(TRUTH));
         let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
@@ -89,7 +95,7 @@ impl TrueObject {
             let round = placement.0 as usize;
             let room_from_object = self.placements.get(round).copied().unwrap_or(Mat3::IDENTITY);
             // Rounds under other lights come after those of placements.
-            let number = (round + 1).saturating_sub(self.placements.len()).min(lights - 1);
+            let number = (round + 1).saturating_sub(self.placements.len()).min(lights.len() - 1);
             let choice = LightChoice::Named(name_of(number));
             let shown = PicturePlacement { room_from_object, light: LightGroup::OWN };
             self.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, true));
@@ -98,17 +104,6 @@ impl TrueObject {
             done();
         }
         Ok(frames)
-    }
-
-    /// Spawns this light, or its own; returns how many there are. Each is named by [`name_of`].
-    fn spawn_lights(&mut self, light: Option<&LoadedLight>) -> usize {
-        let frame = light.is_none().then_some(self.light_frame);
-        let lights = light.map_or(self.lights.as_slice(), std::slice::from_ref);
-        for (number, LoadedLight { lobes, map, .. }) in lights.iter().enumerate() {
-            let spawned = spawn_light(&mut self.pipeline.world, name_of(number), lobes, map.clone());
-            frame.into_iter().for_each(|frame| _ = self.pipeline.world.entity_mut(spawned).insert(frame));
-        }
-        lights.len()
     }
 }
 

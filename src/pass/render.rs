@@ -21,7 +21,7 @@ use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditTarget}
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 use lobelia_world::{light::placement::PicturePlacement, material::shown::show_edited, sample::despawn_pool};
 use rayon::prelude::*;
-use std::{collections::HashMap, path::Path, path::PathBuf, sync::mpsc::sync_channel};
+use std::{collections::HashMap, path::PathBuf, sync::mpsc::sync_channel};
 use tracing::info_span;
 
 /// Stem of the files of a film.
@@ -44,7 +44,18 @@ pub(crate) fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings)
     for view in &views {
         check_interrupted()?;
         show_placement(&mut session.pipeline.world, view.entity);
-        let written = write_view(&mut session.pipeline, &folder, view, settings);
+        let path = |ending: &str| folder.join(format!("{}.{ending}", view.stem));
+        let (camera, size) = (view.camera, [view.camera.width, view.camera.height]);
+        // Both band by band.
+        let written = write_frame_rows(path("exr"), size.map(|side| side as usize), |layers| {
+            write_png_rows(path("png"), size, !settings.backdrop, |colors| {
+                let pipeline = &mut session.pipeline;
+                bands(pipeline, camera, settings, Backdrop::Transparent, &mut |frame, samples| {
+                    layers.push(frame)?;
+                    colors.push(samples)
+                })
+            })
+        });
         session.pipeline.world.remove_resource::<PicturePlacement>();
         written?;
         bar.inc(1);
@@ -142,26 +153,6 @@ pub fn chosen_stems(views: &[(&str, Split)], settings: &RenderSettings) -> Vec<(
     let mut stems: Vec<(usize, String)> = chosen.into_iter().zip(file_stems(&names, taken)).collect();
     stems.sort_by(|a, b| a.1.cmp(&b.1));
     stems
-}
-
-/// Renders a view and writes it as EXR and PNG, both band by band.
-fn write_view(
-    pipeline: &mut Pipeline,
-    folder: &Path,
-    view: &ChosenView,
-    settings: &RenderSettings,
-) -> Result<()> {
-    let path = |ending: &str| folder.join(format!("{}.{ending}", view.stem));
-    let camera = view.camera;
-    let size = [camera.width, camera.height];
-    write_frame_rows(path("exr"), size.map(|side| side as usize), |layers| {
-        write_png_rows(path("png"), size, !settings.backdrop, |colors| {
-            bands(pipeline, camera, settings, Backdrop::Transparent, &mut |frame, samples| {
-                layers.push(frame)?;
-                colors.push(samples)
-            })
-        })
-    })
 }
 
 fn film_frame(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSettings) -> Result<RgbImage> {

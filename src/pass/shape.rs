@@ -1,6 +1,6 @@
 //! The `Shape` pass: recovers an unknown surface from photographs and masks, and replaces the visual hull by it.
 
-use crate::pass::{fit::steps::closed_form, fit::write_views, run::session::Placed, run::session::Session};
+use crate::pass::{fit::steps::closed_form, fit::write_views, run::session::Session};
 use crate::scene::{GridLevel, ShapePass, Surface as SurfaceSpec};
 use crate::{pass::run::progress::Moment, pass::run::progress::Progress, spawn::insert_known_along};
 use bevy_ecs::prelude::World;
@@ -56,16 +56,22 @@ pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
 
     // What was found takes the place of the hull, even if the run is stopped; then it is refined no more.
     let initialized = std::mem::replace(&mut session.kept.initialize, Initialize::NONE);
-    session.kept.placed = Placed::default();
+    (session.kept.normals_found, session.kept.by_stereo) = (false, false);
     check_parameters(&mut session.pipeline.world)?;
     check_numbers("the value of the field at point", found.grid.values.iter().copied())?;
     if !stopped {
-        match_outlines(session, name, &mut found);
+        // Moves the contours of the field to the outlines of the masks.
+        let (report, seconds) =
+            refined(session, name, "outlines", 0, |world, _| refine_by_outlines(world, &mut found));
+        session.progress.print(&format!(
+            "{name}: outlines in {seconds:.1} s, {:.2} pixels off before, {:.2} after",
+            report.before, report.after
+        ));
     }
     let masks = training_silhouettes(&mut session.pipeline.world);
     let mut mesh = extract_parts(&found.grid, &masks);
     if pass.stereo && !stopped && !is_stopping() {
-        session.kept.placed.by_stereo = match_views(session, name, &mut mesh);
+        session.kept.by_stereo = match_views(session, name, &mut mesh);
     } else {
         session.pipeline.world.remove_resource::<ModelError>();
     }
@@ -73,13 +79,13 @@ pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let given = session.pipeline.world.get_resource::<Exposures>();
     let differ = given.is_some_and(Exposures::are_unknown) || !session.scene.views.other_lights().is_empty();
     if pass.normals && !differ && !stopped && !is_stopping() {
-        session.kept.placed.normals = match_reflections(session, name, &mut mesh);
+        session.kept.normals_found = match_reflections(session, name, &mut mesh);
     }
     check_numbers("the surface's coordinate", mesh.positions.iter().flat_map(|at| at.to_array()))?;
     stopped |= is_stopping();
     finish_stopping();
     put_in_place(session, &found, &mesh, texture_size)?;
-    if session.kept.placed.normals {
+    if session.kept.normals_found {
         // With them highlights are sharper than light and lobe are by now: a fit finds these anew.
         session.kept.initialize = initialized;
     } else if initialized.light && initialized.albedo && !AlbedoMap::are_in(&mut session.pipeline.world) {
@@ -216,15 +222,6 @@ fn refined<T>(
     });
     bar.finish_and_clear();
     (done, start.elapsed().as_secs_f64())
-}
-
-/// Moves the contours of the field to the outlines of the masks, and says what came of it.
-fn match_outlines(session: &mut Session, name: &str, surface: &mut SdfSurface) {
-    let (report, seconds) = refined(session, name, "outlines", 0, |of, _| refine_by_outlines(of, surface));
-    session.progress.print(&format!(
-        "{name}: outlines in {seconds:.1} s, {:.2} pixels off before, {:.2} after",
-        report.before, report.after
-    ));
 }
 
 /// Moves the mesh to where neighboring photographs agree; says what came of it and returns whether

@@ -43,8 +43,14 @@ pub(crate) fn write_page(
     let edits = session.pass_named(pass.of.as_deref()).map_or(&[][..], Pass::edits);
     let edits = edits.iter().map(edit_to_ron).collect::<Result<Vec<String>>>()?;
     let shadows = session.has_visibility()?;
-    let (views, mut cameras): (Vec<_>, Vec<_>) =
-        page_cameras(&mut session.pipeline.world).into_iter().unzip();
+    // Those held out first, each group by name.
+    let mut query = session.pipeline.world.query::<(Entity, &ViewName, &Camera, &Split)>();
+    let camera = |(view, name, camera, split): (Entity, &ViewName, &Camera, &Split)| {
+        (view, PageCamera { name: name.0.clone(), split: *split, camera: *camera, photograph: None })
+    };
+    let mut all: Vec<_> = query.iter(&session.pipeline.world).map(camera).collect();
+    all.sort_by_cached_key(|(_, camera)| (camera.split != Split::Test, camera.name.clone()));
+    let (views, mut cameras): (Vec<_>, Vec<_>) = all.into_iter().unzip();
     let embedded = add_photographs(&session.pipeline.world, &views, &mut cameras, pass.photographs as usize)?;
     let world = &mut session.pipeline.world;
     let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
@@ -73,17 +79,6 @@ pub(crate) fn write_page(
     let with = if embedded > 0 { format!(", {}", counted(embedded, "photograph")) } else { String::new() };
     session.progress.print(&format!("{}: {}{with}, {mib:.1} MiB", pass.name, path.display()));
     Ok(())
-}
-
-/// The cameras of all views: those held out first, each group by name.
-fn page_cameras(world: &mut World) -> Vec<(Entity, PageCamera)> {
-    let mut query = world.query::<(Entity, &ViewName, &Camera, &Split)>();
-    let camera = |(view, name, camera, split): (Entity, &ViewName, &Camera, &Split)| {
-        (view, PageCamera { name: name.0.clone(), split: *split, camera: *camera, photograph: None })
-    };
-    let mut cameras: Vec<(Entity, PageCamera)> = query.iter(world).map(camera).collect();
-    cameras.sort_by_cached_key(|(_, camera)| (camera.split != Split::Test, camera.name.clone()));
-    cameras
 }
 
 /// Bytes of all photographs of a page, about; addresses take a third more.
@@ -130,7 +125,15 @@ pub(crate) fn embedded(world: &World, view: Entity, side: u32) -> Result<Option<
     let Some(photograph) = world.get::<Photograph>(view) else { return Ok(None) };
     let mask = world.get::<ViewMask>(view).map(|mask| &mask.0).filter(|mask| !mask.is_full());
     let window = match mask {
-        Some(mask) => around(mask.window(), photograph.size()),
+        // With a margin, as far as the picture reaches.
+        Some(mask) => {
+            let (PixelWindow { x, y, width, height }, size) = (mask.window(), photograph.size());
+            let margin = (MARGIN * width.max(height) as f32).ceil() as u32;
+            let (left, top) = (x.saturating_sub(margin), y.saturating_sub(margin));
+            let [right, bottom] = [x + width, y + height].map(|end| end + margin);
+            let (width, height) = (right.min(size[0]) - left, bottom.min(size[1]) - top);
+            PixelWindow { x: left, y: top, width, height }
+        }
         None => photograph.window(),
     };
     if window.is_empty() || mask.is_some_and(|mask| mask.window().is_empty()) {
@@ -149,15 +152,6 @@ pub(crate) fn embedded(world: &World, view: Entity, side: u32) -> Result<Option<
     let size = coverage.dimensions().into();
     let coverage = mask.map(|_| coverage.into_raw());
     Ok(Some(PagePhotograph { window, size, address: jpeg_address(&jpeg), coverage }))
-}
-
-/// The window with a margin, as far as the picture reaches.
-fn around(window: PixelWindow, [width, height]: [u32; 2]) -> PixelWindow {
-    let margin = (MARGIN * window.width.max(window.height) as f32).ceil() as u32;
-    let (x, y) = (window.x.saturating_sub(margin), window.y.saturating_sub(margin));
-    let right = (window.x + window.width + margin).min(width);
-    let bottom = (window.y + window.height + margin).min(height);
-    PixelWindow { x, y, width: right - x, height: bottom - y }
 }
 
 #[cfg(test)]

@@ -68,7 +68,7 @@ impl SceneText<'_> {
         let fault = match &error.code {
             Ron::NoSuchStructField { expected, found, outer } => fault(
                 format!("unknown field `{found}`{}", within(outer)),
-                self.field_before(root, found, at.end),
+                self.word_before(found, at.end),
                 "not a field here",
                 &choices("fields", found, expected),
             ),
@@ -86,7 +86,7 @@ impl SceneText<'_> {
             ),
             Ron::DuplicateStructField { field, outer } => fault(
                 format!("field `{field}` is given twice{}", within(outer)),
-                self.field_before(root, field, at.end),
+                self.word_before(field, at.end),
                 "second time",
                 "Remove one of the two.",
             ),
@@ -114,11 +114,6 @@ impl SceneText<'_> {
         let start: usize = lines.map(str::len).sum();
         let rest = &self.text[start..];
         start + rest.char_indices().nth(position.col.saturating_sub(1)).map_or(rest.len(), |(at, _)| at)
-    }
-
-    fn field_before(&self, root: &Node, name: &str, end: usize) -> Range<usize> {
-        let same = |range: &Range<usize>| &self.text[range.clone()] == name && range.start <= end;
-        root.field_names().into_iter().filter(same).max_by_key(|range| range.start).unwrap_or(end..end)
     }
 
     fn word_before(&self, word: &str, end: usize) -> Range<usize> {

@@ -106,13 +106,6 @@ impl Node {
         best
     }
 
-    /// The bytes of every field's name, here and further inside.
-    pub fn field_names(&self) -> Vec<Range<usize>> {
-        let own = if let Body::Fields(fields) = &self.body { fields.as_slice() } else { &[] };
-        let inside = self.children().into_iter().flat_map(Node::field_names);
-        own.iter().map(|field| field.0.clone()).chain(inside).collect()
-    }
-
     /// A short range that stands for the value in a message: itself, or its name or opening bracket if it is long.
     pub fn handle(&self, text: &str) -> Range<usize> {
         match &self.name {

@@ -225,7 +225,10 @@ fn open(source: &LightSource) -> Result<(LightFile, Vec<String>)> {
         }
         LightSource::Ron { path, .. } => return open(&inlined(path, scale, degrees)?),
     };
-    let light = light.scaled(scale);
+    let light = match light {
+        LightFile::Lobes(lobes) => LightFile::Lobes(scale_lobes(&lobes, Vec3::splat(scale))),
+        LightFile::Map(map) => LightFile::Map(map.scaled(Vec3::splat(scale))),
+    };
     Ok((if degrees == Vec3::ZERO { light } else { light.rotated(rotation(degrees)) }, notes))
 }
 
@@ -238,15 +241,6 @@ fn with_unit_axis(lobe: &LightLobe) -> LightLobe {
 }
 
 impl LightFile {
-    /// The light with its radiance multiplied by `factor` ≥ 0.
-    pub fn scaled(self, factor: f32) -> Self {
-        match self {
-            same if factor == 1.0 => same,
-            Self::Lobes(lobes) => Self::Lobes(scale_lobes(&lobes, Vec3::splat(factor))),
-            Self::Map(map) => Self::Map(map.scaled(Vec3::splat(factor))),
-        }
-    }
-
     /// The light turned: what came from direction d now comes from `turn * d`.
     pub fn rotated(self, turn: Quat) -> Self {
         match self {

@@ -269,8 +269,19 @@ pub fn make_surface(spec: &SurfaceSpec, views: &[ViewRecord], use_of: SurfaceUse
             SurfaceUse::UntilShape => hull_of_masks(views, DRAFT.0.min(*cells), DRAFT.1.min(*texture_size)),
             SurfaceUse::Checks => Ok((Surface::new(sphere_mesh(Vec3::ZERO, SPECK)?, DRAFT.1)?, Vec::new())),
         },
-        SurfaceSpec::Mesh { path, texture_size, own_material: own } => {
-            mesh_of_file(path, *texture_size, *own)
+        SurfaceSpec::Mesh { path, texture_size, own_material } => {
+            let (mesh, report) = read_mesh_with_report(path)?;
+            let unwrapped = unwrap_mesh(&mesh, *texture_size)?;
+            // Its own material needs its own texture coordinates.
+            if *own_material && unwrapped.charts.is_some() {
+                let problem =
+                    "its texture coordinates are missing or overlap, so that its own material has no place";
+                let help = "Give the material in the scene file, or unwrap the mesh in another program.";
+                return Err(Error::input(path, "", problem, help));
+            }
+            let notes = report.notes().into_iter().chain(unwrapped.note);
+            let notes = notes.map(|note| format!("{}: {note}", path.display())).collect();
+            Ok((Surface::new(unwrapped.mesh, *texture_size)?, notes))
         }
         SurfaceSpec::Sphere { center, radius, texture_size } => {
             Ok((Surface::new(sphere_mesh(*center, *radius)?, *texture_size)?, Vec::new()))
@@ -289,19 +300,5 @@ fn hull_of_masks(views: &[ViewRecord], cells: u32, texture_size: u32) -> Result<
     let hull = visual_hull(&mut silhouettes, cells)?;
     let notes = check_hull(&hull, &silhouettes)?;
     let unwrapped = unwrap_mesh(&extract_parts(&hull, &silhouettes), texture_size)?;
-    Ok((Surface::new(unwrapped.mesh, texture_size)?, notes))
-}
-
-/// The mesh of a file. Where it is to have its `own_material`, its own texture coordinates have to do.
-fn mesh_of_file(path: &Path, texture_size: u32, own_material: bool) -> Result<Made> {
-    let (mesh, report) = read_mesh_with_report(path)?;
-    let unwrapped = unwrap_mesh(&mesh, texture_size)?;
-    if own_material && unwrapped.charts.is_some() {
-        let problem = "its texture coordinates are missing or overlap, so that its own material has no place";
-        let help = "Give the material in the scene file, or unwrap the mesh in another program.";
-        return Err(Error::input(path, "", problem, help));
-    }
-    let notes = report.notes().into_iter().chain(unwrapped.note);
-    let notes = notes.map(|note| format!("{}: {note}", path.display())).collect();
     Ok((Surface::new(unwrapped.mesh, texture_size)?, notes))
 }

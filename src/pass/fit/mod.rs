@@ -146,25 +146,21 @@ fn fill_texels(session: &mut Session) -> Result<usize> {
     Ok(if fitted { unseen.count() } else { 0 })
 }
 
-/// A summary of the specular material: one or two base materials completely, of more the range of roughness of the texels.
-fn material_words(world: &mut World) -> String {
+fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize) {
+    let total = session.scores.fit_secs.unwrap_or(0.0) + summary.elapsed_secs;
+    session.scores.fit_secs = Some(total);
+    let world = &mut session.pipeline.world;
+    // One or two base materials completely, of more the range of roughness of the texels.
     let lobes: Vec<SpecularLobe> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
     let gloss: Vec<f32> = world.query::<&TexelRoughness>().iter(world).map(|gloss| gloss.roughness).collect();
     let (low, high) = gloss.iter().fold((f32::INFINITY, 0f32), |(low, high), r| (low.min(*r), high.max(*r)));
     let words = |roughness: String, [r, g, b]: [f32; 3]| {
         format!("; roughness {roughness}, specular albedo ({r:.3}, {g:.3}, {b:.3})")
     };
-    match lobes.as_slice() {
+    let material: String = match lobes.as_slice() {
         [first, ..] if !gloss.is_empty() => words(format!("{low:.3} to {high:.3}"), first.albedo.to_array()),
         all => all.iter().map(|l| words(format!("{:.3}", l.roughness), l.albedo.to_array())).collect(),
-    }
-}
-
-fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize) {
-    let total = session.scores.fit_secs.unwrap_or(0.0) + summary.elapsed_secs;
-    session.scores.fit_secs = Some(total);
-    let world = &mut session.pipeline.world;
-    let material = material_words(world);
+    };
     session.progress.print(&format!(
         "{name}: {} steps over {} pixels in {:.1} s{material}{}",
         summary.steps,
@@ -375,7 +371,18 @@ fn refine_texture(session: &mut Session, pass: &FitPass, options: &FitOptions) -
     let start = Instant::now();
     let factor = factor_for(session);
     if factor > 1 {
-        refine(session, factor)?;
+        // Divides each texel into `factor`² texels of the same material.
+        let atlas = session.surface.atlas();
+        let (width, height) = (atlas.width, atlas.height);
+        let surface = Arc::new(Surface::new(session.surface.mesh().clone(), width * factor)?);
+        let fine = [surface.atlas().width, surface.atlas().height];
+        let center = |i: u32, size: u32| (i as f32 + 0.5) / size as f32;
+        let place = |i: u32| Vec2::new(center(i % fine[0], fine[0]), center(i / fine[0], fine[1]));
+        let from = (0..fine[0] * fine[1]).map(|i| address(place(i), width, height));
+        divide_texels(&mut session.pipeline.world, &from.collect::<Vec<_>>())?;
+        session.pipeline.world.insert_resource(Scenery(surface.clone()));
+        forget_visibility(&mut session.pipeline.world);
+        (session.surface, session.surface_found) = (surface, true);
     }
     let visibility = options.visibility && session.has_visibility()?;
     let tilt = session.scene.material.tilt == Tilt::Unknown;
@@ -407,24 +414,6 @@ fn factor_for(session: &mut Session) -> u32 {
     let most = finest_side(pixels as f64) as u32 / side;
     // A cast of what is not a number is 0.
     ((atlas.texel_size() / pixel).round() as u32).min(most).max(1)
-}
-
-/// Divides each texel into `factor`² texels of the same material.
-fn refine(session: &mut Session, factor: u32) -> Result<()> {
-    let atlas = session.surface.atlas();
-    let (width, height) = (atlas.width, atlas.height);
-    let surface = Arc::new(Surface::new(session.surface.mesh().clone(), width * factor)?);
-    let fine = surface.atlas();
-    let (fine_width, fine_height) = (fine.width, fine.height);
-    let center = |i: u32, size: u32| (i as f32 + 0.5) / size as f32;
-    let place = |i: u32| Vec2::new(center(i % fine_width, fine_width), center(i / fine_width, fine_height));
-    let from: Vec<TexelAddress> =
-        (0..fine_width * fine_height).map(|i| address(place(i), width, height)).collect();
-    divide_texels(&mut session.pipeline.world, &from)?;
-    session.pipeline.world.insert_resource(Scenery(surface.clone()));
-    forget_visibility(&mut session.pipeline.world);
-    (session.surface, session.surface_found) = (surface, true);
-    Ok(())
 }
 
 /// Replaces the texels by texels whose material is that of the old ones at these places: albedo and sheen between them, the rest of

@@ -167,11 +167,10 @@ fn is_open(session: &mut Session, pass: &FitPass) -> Result<bool> {
     let unsaid = material.gloss == Gloss::Auto && material.specular.is_open() && gray;
     let untried = session.scores.materials_tried.is_none() && scene.own_material().is_none();
     let enough = pass.steps >= LEAST_STEPS * TRIED[0] && session.unknowns().albedo;
-    Ok(unsaid && untried && enough && !uses_published(scene) && has_room(session)?)
-}
-
-/// Whether the edits of all passes have room for what they make of several base materials.
-fn has_room(session: &mut Session) -> Result<bool> {
+    if !unsaid || !untried || !enough || uses_published(scene) {
+        return Ok(false);
+    }
+    // The edits of all passes must have room for what they make of several base materials.
     let mut unedited = recovered_material(&mut session.pipeline.world)?;
     let (lobes, blend) = several_materials();
     unedited.lobes = lobes.into_iter().map(Some).collect();
@@ -188,7 +187,7 @@ fn choose(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     let saved = checkpoint::save(world, Span::Pass)?;
     let tried = try_several(session, pass, options, first);
     let found = tried.as_ref().ok().copied().filter(|_| !is_stopping());
-    let most = if session.kept.placed.normals { CLEARLY_POLISHED } else { CLEARLY };
+    let most = if session.kept.normals_found { CLEARLY_POLISHED } else { CLEARLY };
     session.kept.several = found.is_some_and(|(error, ended)| ended.is_none() && error < most * first.error);
     if session.kept.several {
         begin_log(&mut session.pipeline.world);
@@ -424,7 +423,7 @@ fn take_steps(
     session.pipeline.world.insert_resource(TexelPlaces { positions, progress: 0.0 });
     // The systems that optimize cameras and vertices, if the pass enables them.
     let moves_cameras = pass.cameras != CameraUnknowns::Given;
-    let moves_vertices = pass.vertices && !session.kept.placed.normals && !session.kept.placed.by_stereo;
+    let moves_vertices = pass.vertices && !session.kept.normals_found && !session.kept.by_stereo;
     if moves_cameras {
         session.pipeline.add_plugin(&CameraPlugin(pass.cameras));
     }

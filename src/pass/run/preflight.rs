@@ -10,7 +10,7 @@ use crate::pass::{
 };
 use crate::scene::{
     EvaluatePass, Gloss, LayerTruth, Light, LightSource, Pass, PlacementLight, RenderPass, RenderSettings,
-    Scene, Truth, TruthFiles, ViewChoice, Views, load::LoadedScene,
+    Scene, Truth, ViewChoice, Views, load::LoadedScene,
 };
 use crate::spawn::light::{files_of, inlined};
 use crate::{pass::export, pass::show::apply_edits, pass::show::edits_of_nothing, survey::open::OpenScene};
@@ -126,13 +126,6 @@ fn of_save(scene: &Scene) -> BTreeSet<String> {
     names
 }
 
-fn truths_of(pass: &Pass) -> Vec<TruthFiles<'_>> {
-    let Pass::Evaluate(pass) = pass else { return Vec::new() };
-    let images = pass.scores.iter().filter_map(|score| score.truth.files());
-    let layers = [&pass.albedo, &pass.normal].into_iter().flatten().filter_map(LayerTruth::files);
-    images.chain(layers).collect()
-}
-
 /// The files that a run reads: the scene file, what it names, what these name, and the files of the views. Of
 /// the folders that passes are scored against all files count, or those that may be of views.
 pub(super) fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<FileUse> {
@@ -147,7 +140,13 @@ pub(super) fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<File
         let named = files_of(file).into_iter().skip(1).chain(of_mesh);
         inputs.extend(named.map(|path| FileUse::new(path, &by)));
     }
-    for truth in loaded.scene.passes.iter().flat_map(truths_of) {
+    let truths = loaded.scene.passes.iter().flat_map(|pass| {
+        let Pass::Evaluate(pass) = pass else { return Vec::new() };
+        let images = pass.scores.iter().filter_map(|score| score.truth.files());
+        let layers = [&pass.albedo, &pass.normal].into_iter().flatten().filter_map(LayerTruth::files);
+        images.chain(layers).collect()
+    });
+    for truth in truths {
         let by = format!("which is in {}, a folder of ground truth", truth.folder.display());
         inputs.extend(truth.found().into_iter().map(|path| FileUse::new(path, &by)));
     }

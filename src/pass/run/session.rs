@@ -36,16 +36,9 @@ pub(crate) struct PassState {
     pub several: bool,
     /// The parts of the fit at work that are done.
     pub chosen: Chosen,
-    /// Means beside shading that have placed the surface.
-    pub placed: Placed,
-}
-
-/// Means beside shading that have placed a surface: a fit then leaves its vertices where they are.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Placed {
-    /// Its normals are not those of its triangles, but found from reflections.
-    pub normals: bool,
-    /// Stereo has moved much of it.
+    /// Whether the surface's normals are not those of its triangles, but found from reflections, and whether stereo has moved much of it:
+    /// a fit then leaves its vertices where they are.
+    pub normals_found: bool,
     pub by_stereo: bool,
 }
 
@@ -135,7 +128,8 @@ impl<'a> Session<'a> {
             specular: scene.material.specular.is_open(),
         };
         let has_object = !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_)));
-        let (chosen, placed) = (Chosen::default(), Placed::default());
+        let chosen = Chosen::default();
+        let (several, normals_found, by_stereo) = (false, false, false);
         let mut session = Self {
             scene,
             pipeline: Pipeline::new(),
@@ -148,7 +142,7 @@ impl<'a> Session<'a> {
             debug_every: options.debug_every,
             progress,
             scores: Scores::default(),
-            kept: PassState { initialize, has_object, several: false, chosen, placed },
+            kept: PassState { initialize, has_object, several, chosen, normals_found, by_stereo },
             watched: Watched::default(),
             report: Reporter::default(),
         };

@@ -58,23 +58,19 @@ pub(super) fn passes(at: &Place, scene: &mut Scene) {
             pass.light.iter_mut().for_each(|light| light_source(&at.at("light"), light));
             render(&at.at("render"), &pass.render);
         }
-        known_to_published(&at, pass, scene);
+        // The published formulas have the supplement's NDF alone.
+        let is_ggx = scene.material.specular.ndf.first() == Ndf::Ggx;
+        if let Some(field) = published_field(pass).filter(|_| is_ggx) {
+            let problem = "`Published` shading cannot show a material with `ndf: Ggx`";
+            let help = "The published formulas know the single spherical Gaussian only; or say `ndf: Sg` in `material.specular`.";
+            at.at(field).fail(problem, "expected `Accurate` (or `PathTraced`) shading", help);
+        }
         fitted |= matches!(pass, Pass::Fit(_) | Pass::Shape(_));
         if !fitted {
             nothing_unknown(&at, pass, scene);
         }
     }
     scene.passes = passes;
-}
-
-/// The published formulas have the supplement's NDF alone.
-fn known_to_published(at: &Place, pass: &Pass, scene: &Scene) {
-    let is_ggx = scene.material.specular.ndf.first() == Ndf::Ggx;
-    if let Some(field) = published_field(pass).filter(|_| is_ggx) {
-        let problem = "`Published` shading cannot show a material with `ndf: Ggx`";
-        let help = "The published formulas know the single spherical Gaussian only; or say `ndf: Sg` in `material.specular`.";
-        at.at(field).fail(problem, "expected `Accurate` (or `PathTraced`) shading", help);
-    }
 }
 
 /// The field in which a pass says `Published`, if it does.
