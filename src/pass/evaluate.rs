@@ -58,10 +58,8 @@ enum TrueImages {
 }
 
 pub(crate) fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
-    let mut views = 0;
-    for score in &pass.scores {
-        views += views_of(session, &score.pass)?.len();
-    }
+    let counts = pass.scores.iter().map(|score| Ok(views_of(session, &score.pass)?.len()));
+    let views = counts.sum::<Result<usize>>()?;
     let side = side_within(views * PARTS.len(), VIEWS_BUDGET);
     let count = pass.scores.len();
     let rows: Vec<_> = (0..count).map(|i| score_pass(session, pass, i, side)).collect::<Result<_>>()?;

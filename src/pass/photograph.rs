@@ -168,14 +168,8 @@ pub fn ring(spec: &CameraRing, up: Vec3) -> Vec<CameraSpec> {
 
 /// `up`, or another axis if `up` is nearly along the line of sight.
 fn up_across(up: Vec3, sight: Vec3) -> Vec3 {
-    let along = |direction: Vec3| sight.dot(direction.normalize_or(Vec3::Y)).abs() > 0.99;
-    if !along(up) {
-        up
-    } else if !along(Vec3::Z) {
-        Vec3::Z
-    } else {
-        Vec3::X
-    }
+    let is_across = |of: &Vec3| sight.dot(of.normalize_or(Vec3::Y)).abs() <= 0.99;
+    [up, Vec3::Z].into_iter().find(is_across).unwrap_or(Vec3::X)
 }
 
 fn pattern_at(pattern: &Pattern, at: Vec3) -> Vec3 {

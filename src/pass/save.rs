@@ -2,8 +2,9 @@
 
 use crate::pass::{photograph::ring, run::session::Session, show::material_of};
 use crate::scene::{
-    Albedo, AlbedoSource, Dataset, Gloss, Light, LightSource, Material, Pass, PlacementLight, PlacementSpec,
-    Roughness, SavePass, Scene, Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt, Views,
+    Albedo, AlbedoSource, Dataset, Gloss, Light, LightSource, Material, NdfChoice, Pass, PlacementLight,
+    PlacementSpec, Roughness, SavePass, Scene, Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt,
+    Views,
 };
 use crate::{scene::load::to_ron, spawn::light::angles, spawn::light::inlined};
 use glam::Vec3;
@@ -11,6 +12,7 @@ use lobelia_geometry::{error::Error, error::Result, mesh::atlas::TexelAtlas};
 use lobelia_io::codec::file::{read_bytes, write_bytes};
 use lobelia_io::codec::{exr::ExrLayers, nearby::missing_file_help, npy::NpyConvention, npy::write_lobes};
 use lobelia_io::{codec::exr_frame::write_channels, codec::gltf::export::write_glb, dataset::Priors};
+use lobelia_sg::brdf::Ndf;
 use lobelia_solve::fit::cameras::CameraFit;
 use lobelia_world::light::placement::{PlacementTurn, Placements, TurnSource};
 use lobelia_world::light::{
@@ -92,7 +94,7 @@ pub fn write_material(folder: &Path, material: &MaterialState, atlas: &TexelAtla
         saved.specular = Specular {
             albedo: SpecularAlbedo::Fixed(one.albedo),
             roughness: Roughness::Fixed(one.roughness),
-            ndf: one.ndf.into(),
+            ndf: if one.ndf == Ndf::Ggx { NdfChoice::Ggx } else { NdfChoice::Sg },
         };
     } else {
         // Base materials of a scene are numbered from 0: unused numbers are left out.

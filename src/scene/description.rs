@@ -386,15 +386,6 @@ impl NdfChoice {
     }
 }
 
-impl From<Ndf> for NdfChoice {
-    fn from(known: Ndf) -> Self {
-        match known {
-            Ndf::Sg => Self::Sg,
-            Ndf::Ggx => Self::Ggx,
-        }
-    }
-}
-
 /// Specular albedo (reflectance at normal incidence), known or unknown.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

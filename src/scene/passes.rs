@@ -453,12 +453,6 @@ pub enum ExportScale {
     Size(f32),
 }
 
-impl Default for ExportScale {
-    fn default() -> Self {
-        Self::Factor(1.0)
-    }
-}
-
 impl Default for ExportPass {
     fn default() -> Self {
         Self {

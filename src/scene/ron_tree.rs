@@ -85,15 +85,6 @@ impl Node {
         }
     }
 
-    /// The values directly inside this one, in order.
-    pub fn children(&self) -> Vec<&Node> {
-        match &self.body {
-            Body::Plain | Body::Text(_) => Vec::new(),
-            Body::Fields(fields) => fields.iter().map(|(_, value)| value).collect(),
-            Body::Items(items) => items.iter().collect(),
-        }
-    }
-
     /// The innermost value with a body of a kind whose bytes contain `at`; this one if there is none.
     pub fn innermost(&self, at: usize, is_wanted: impl Fn(&Body) -> bool) -> &Node {
         let (mut best, mut here) = (self, Some(self));
@@ -101,7 +92,12 @@ impl Node {
             if is_wanted(&node.body) {
                 best = node;
             }
-            here = node.children().into_iter().find(|child| child.span.contains(&at));
+            let contains = |child: &&Node| child.span.contains(&at);
+            here = match &node.body {
+                Body::Plain | Body::Text(_) => None,
+                Body::Fields(fields) => fields.iter().map(|(_, value)| value).find(contains),
+                Body::Items(items) => items.iter().find(contains),
+            };
         }
         best
     }
@@ -202,18 +198,12 @@ impl Parser<'_> {
         let mut depth = 0;
         loop {
             let rest = self.rest();
-            if rest.starts_with("/*") {
-                depth += 1;
-                self.at += 2;
-            } else if rest.starts_with("*/") {
-                depth -= 1;
-                self.at += 2;
-            } else {
-                let Some(next) = rest.chars().next() else {
-                    return Err(self.error("the comment's closing `*/`", Some(&open)));
-                };
-                self.at += next.len_utf8();
-            }
+            let (opens, closes) = (rest.starts_with("/*"), rest.starts_with("*/"));
+            let Some(next) = rest.chars().next() else {
+                return Err(self.error("the comment's closing `*/`", Some(&open)));
+            };
+            self.at += if opens || closes { 2 } else { next.len_utf8() };
+            depth += i32::from(opens) - i32::from(closes);
             if depth == 0 {
                 return Ok(());
             }
@@ -229,7 +219,11 @@ impl Parser<'_> {
         let start = self.at;
         let body = match self.peek() {
             Some('(') => self.group()?,
-            Some('[') => self.list()?,
+            Some('[') => {
+                let mut items = Vec::new();
+                self.bracket(']', |parser, _| parser.value().map(|item| items.push(item)))?;
+                Body::Items(items)
+            }
             Some('"') => self.quoted()?,
             Some('r') if self.starts_raw() => self.quoted()?,
             Some(c) if c.is_alphabetic() || c == '_' => {
@@ -324,15 +318,6 @@ impl Parser<'_> {
         }
         self.at = start;
         Ok(None)
-    }
-
-    fn list(&mut self) -> Read<Body> {
-        let mut items = Vec::new();
-        self.bracket(']', |parser, _| {
-            items.push(parser.value()?);
-            Ok(())
-        })?;
-        Ok(Body::Items(items))
     }
 
     /// Whether a raw string (`r"`, `r#"`) follows, rather than an identifier.

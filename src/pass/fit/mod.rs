@@ -300,15 +300,15 @@ fn shifts_px(world: &mut World, (center, radius): (Vec3, f32)) -> Vec<f32> {
     let around = [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| radius * axis);
     let points = [center, center + around[0], center + around[1], center + around[2]];
     let mut views = world.query::<(&Camera, &CameraPose, &Split)>();
-    let train = views.iter(world).filter(|(_, _, split)| **split == Split::Train);
-    let shift = |(camera, pose): (&Camera, &CameraPose)| {
+    let train = views.iter(world).filter(|(.., split)| **split == Split::Train);
+    let shift = |(camera, pose, _): (&Camera, &CameraPose, &Split)| {
         let apart = points.iter().filter_map(|point| {
             let (from, to) = (pose.given.project(*point)?, camera.project(*point)?);
             Some((from.0 - to.0).hypot(from.1 - to.1))
         });
         apart.sum::<f32>() / points.len() as f32
     };
-    train.map(|(camera, pose, _)| shift((camera, pose))).collect()
+    train.map(shift).collect()
 }
 
 /// Writes the cameras of the training views in PhySG's format.

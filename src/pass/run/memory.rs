@@ -8,15 +8,13 @@ use lobelia_sg::lanes::level_name;
 use serde::{Deserialize, Serialize};
 use std::{borrow::Cow, fs::read_to_string, path::Path, path::PathBuf};
 
-/// Share of the memory that a process may have which a run takes if nothing else is said.
-const USUAL_SHARE: f64 = 0.75;
 /// Fewest pixels of a pool: below, fits become poor.
 pub(crate) const LEAST_PIXELS: u32 = 200_000;
 
 /// Returns the default memory of a run: three quarters of the memory that the machine lets a
 /// process have, in bytes; `None` if that is unknown.
 pub fn usual_budget() -> Option<u64> {
-    machine_memory().map(|bytes| (bytes as f64 * USUAL_SHARE) as u64)
+    machine_memory().map(|bytes| (bytes as f64 * 0.75) as u64)
 }
 
 /// Bytes of "8GiB", "500 MB", "1.5g" or a plain number; `Err` says what is expected.
@@ -37,11 +35,8 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
         _ => 0.0,
     };
     let bytes = number.parse::<f64>().unwrap_or(f64::NAN) * factor;
-    if (1e6..1e18).contains(&bytes) {
-        Ok(bytes as u64)
-    } else {
-        Err("give an amount such as 8GiB or 500MiB".to_owned())
-    }
+    let is_usual = (1e6..1e18).contains(&bytes);
+    is_usual.then_some(bytes as u64).ok_or_else(|| "give an amount such as 8GiB or 500MiB".to_owned())
 }
 
 /// The scene as it keeps to `bytes` of memory with these views: the same if it does, else with smaller pools,

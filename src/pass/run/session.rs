@@ -202,16 +202,14 @@ impl<'a> Session<'a> {
         self.scores.light_frames_tried =
             tried.iter().map(|(frame, error)| FrameTried { frame: frame.words(), error: *error }).collect();
         let error = |of: LightFrame| tried.iter().find(|(frame, _)| *frame == of).map(|(_, error)| *error);
-        if let (Some(own), Some(world)) = (error(frame), error(LightFrame::World)) {
-            let found = frame.words();
-            let beside = match frame {
-                LightFrame::World => String::new(),
-                _ => format!(
-                    " (error of the initialization {own:.4}; as one that stands around the object {world:.4})"
-                ),
-            };
-            self.progress.print(&format!("{pass}: the light {found}{beside}"));
-        }
+        let (Some(own), Some(world)) = (error(frame), error(LightFrame::World)) else { return };
+        let beside = match frame {
+            LightFrame::World => String::new(),
+            _ => format!(
+                " (error of the initialization {own:.4}; as one that stands around the object {world:.4})"
+            ),
+        };
+        self.progress.print(&format!("{pass}: the light {}{beside}", frame.words()));
     }
 
     /// Says how the object lies in placements whose rotation the pass has found.

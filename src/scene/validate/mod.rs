@@ -538,9 +538,15 @@ impl<'a> Place<'a> {
                 return;
             }
         };
-        if let Some((problem, help)) = complaint(&full, kind) {
+        if let Some(Obstacle { problem, help }) = obstacle(&full, kind) {
+            let help = match kind {
+                _ if !help.is_empty() => help,
+                FileKind::File if full.is_dir() => "Name a file in it.".into(),
+                FileKind::Folder if full.is_file() => "Name the folder that it is in.".into(),
+                _ => missing_file_help(&full),
+            };
             let expected = if kind == FileKind::File { "expected a file" } else { "expected a folder" };
-            at.fail(problem, expected, help);
+            at.fail(format!("{}: {problem}", full.display()), expected, help);
         } else if !self.found.borrow().files.contains(&full) {
             self.found.borrow_mut().files.push(full.clone());
         }
@@ -554,15 +560,4 @@ impl<'a> Place<'a> {
     pub fn folder(&self, field: &str, path: &mut PathBuf) {
         self.path(field, FileKind::Folder, path);
     }
-}
-
-fn complaint(path: &Path, kind: FileKind) -> Option<(String, String)> {
-    let Obstacle { problem, help } = obstacle(path, kind)?;
-    let help = match kind {
-        _ if !help.is_empty() => help,
-        FileKind::File if path.is_dir() => "Name a file in it.".into(),
-        FileKind::Folder if path.is_file() => "Name the folder that it is in.".into(),
-        _ => missing_file_help(path),
-    };
-    Some((format!("{}: {problem}", path.display()), help))
 }
