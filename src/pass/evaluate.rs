@@ -4,10 +4,10 @@
 //! The pass writes a contact sheet of a few views, and for the report small pictures of all views: `<scored pass>/<view>_truth.jpg`, `_render.jpg` and
 //! `_error.jpg`. Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files.
 
-use crate::pass::view_report::{ScoredOutcome, outlier_share};
+use crate::pass::view_report::outlier_share;
 use crate::pass::{render::ChosenView, render::chosen_views, run::session::Session, view_report};
 use crate::report::metrics::{ImagePair, NormalAngles, albedo_psnr, coverage_iou, erode, mean};
-use crate::report::scores::{EvalView, PassScores, Scaling, ViewScores, score_views};
+use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{SheetRow, choose_evenly, write_sheet};
 use crate::report::tone::{Picture, VIEWS_BUDGET, error_map, side_within, write_thumbnail};
 use crate::scene::{EvaluatePass, LayerTruth, Pass, ScoreScale, Truth, TruthFiles, VIEW};
@@ -116,12 +116,8 @@ fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -
     let (row, outliers) = show_views(session, &scored, &scores, layers, &folder.join(&score.pass), side)?;
     if i == 0 {
         let each = scored.views.iter().zip(&scores.views).zip(outliers);
-        let outcome = |((view, scores), outliers): ((&ChosenView, &ViewScores), Option<f64>)| ScoredOutcome {
-            view: view.entity,
-            psnr: scores.psnr,
-            outliers,
-        };
-        view_report::write(session, &folder, &each.map(outcome).collect::<Vec<_>>())?;
+        let each = each.map(|((view, scores), outliers)| (view.entity, (scores.psnr, outliers)));
+        view_report::write(session, &folder, &each.collect())?;
     }
     session.scores.passes.insert(score.pass.clone(), scores);
     if i == 0 {

@@ -25,16 +25,6 @@ const OUTLIERS: f64 = 0.5;
 /// Radiance of a lobe beyond this, relative to the photographs, is no light that they show.
 const RUNAWAY: f32 = 1e4;
 
-/// How a view of the first score came out.
-pub(super) struct ScoredOutcome {
-    /// The view: names repeat, as those of training and test views.
-    pub view: Entity,
-    /// PSNR as it is scored, in dB.
-    pub psnr: f64,
-    /// Share of outliers of the prediction as it is scored.
-    pub outliers: Option<f64>,
-}
-
 /// Notes how the training views came out of a fit, and what went wrong in it.
 pub(super) fn note_fit(session: &mut Session) {
     let views = silhouettes(session, |_, split| split == Split::Train);
@@ -139,8 +129,7 @@ fn warnings(views: &[(ViewOutcome, ViewSum)], lobes: &[LightLobe]) -> Vec<String
 
 /// A light that is brighter than anything that photographs of this brightness can show.
 fn runaway(lobes: &[LightLobe], views: &[(ViewOutcome, ViewSum)]) -> Option<String> {
-    let (sum, pixels) =
-        views.iter().fold((0.0, 0), |(sum, pixels), (_, of)| (sum + of.observed, pixels + of.pixels));
+    let (sum, pixels) = views.iter().fold((0.0, 0), |(sum, n), (_, of)| (sum + of.observed, n + of.pixels));
     let usual = (sum / pixels.max(1) as f64).max(1e-6) as f32;
     // A lobe's light is its amplitude over its solid angle, about 2π over its sharpness.
     let light = |lobe: &LightLobe| {
@@ -162,16 +151,19 @@ pub(super) fn outlier_share(view: &EvalView, predicted: &[glam::Vec3]) -> Option
     (counted > 0).then(|| outliers as f64 / counted as f64)
 }
 
+/// PSNR in dB of views of the first score, as it is scored, and the share of outliers of their predictions. By the view: names repeat,
+/// as those of training and test views.
+type Outcomes = HashMap<Entity, (f64, Option<f64>)>;
+
 /// Adds scored views that no fit has told of, in place of those that an earlier `Evaluate` has told of, and writes the report of all views.
-pub(super) fn write(session: &mut Session, folder: &Path, scored: &[ScoredOutcome]) -> Result<()> {
-    let scored: HashMap<Entity, &ScoredOutcome> = scored.iter().rev().map(|of| (of.view, of)).collect();
+pub(super) fn write(session: &mut Session, folder: &Path, scored: &Outcomes) -> Result<()> {
     // Those of a fit say how many pixels it may visit.
     session.scores.views.retain(|view| view.pixels.is_some());
     let key = |view: &ViewOutcome| (view.name.clone(), view.split.clone());
     let mut known: HashSet<(String, String)> = session.scores.views.iter().map(key).collect();
     for (view, _, outcome) in silhouettes(session, |view, _| scored.contains_key(&view)) {
-        let found = scored[&view];
-        let outcome = ViewOutcome { psnr: Some(found.psnr), outliers: found.outliers, ..outcome };
+        let (psnr, outliers) = scored[&view];
+        let outcome = ViewOutcome { psnr: Some(psnr), outliers, ..outcome };
         if known.insert(key(&outcome)) {
             session.scores.views.push(outcome);
         }

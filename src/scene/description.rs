@@ -153,6 +153,16 @@ pub enum Light {
     Fixed(LightSource),
 }
 
+impl Light {
+    /// The light that is given, if one is.
+    pub fn source(&self) -> Option<&LightSource> {
+        match self {
+            Self::Initial(source) | Self::Fixed(source) => Some(source),
+            Self::Unknown(_) => None,
+        }
+    }
+}
+
 impl Default for Light {
     fn default() -> Self {
         Self::Unknown(UnknownLight { lobes: 128 })

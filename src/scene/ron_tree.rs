@@ -118,8 +118,7 @@ impl Node {
             Body::Items(items) => match step.parse::<usize>() {
                 Ok(index) => items.get(index),
                 Err(_) => items.iter().find(|item| item.own_name(text) == Some(step)).or_else(|| {
-                    let is_kind =
-                        |item: &&Node| item.name(text).is_some_and(|n| n.eq_ignore_ascii_case(step));
+                    let is_kind = |of: &&Node| of.name(text).is_some_and(|n| n.eq_ignore_ascii_case(step));
                     let mut of_kind = items.iter().filter(is_kind);
                     of_kind.next().filter(|_| of_kind.next().is_none())
                 }),

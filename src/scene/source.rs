@@ -47,9 +47,8 @@ fn insert(text: &str, node: &Node, steps: &[&str], depth: usize, value: &str) ->
         _ => Some(&steps[depth]),
     };
     if let Some(missing) = missing {
-        let here =
-            if depth == 0 { "the scene".to_owned() } else { format!("`{}`", steps[..depth].join(".")) };
-        return Err((format!("{here} has no `{missing}`"), what_is_there(text, node)));
+        let at = if depth == 0 { "the scene".to_owned() } else { format!("`{}`", steps[..depth].join(".")) };
+        return Err((format!("{at} has no `{missing}`"), what_is_there(text, node)));
     }
     let [outer @ .., last] = &steps[depth..] else { return Ok(text.to_owned()) };
     let last = format!("{last}: {}", checked(value)?);

@@ -296,10 +296,9 @@ pub(crate) fn to_ron(lobes: &[LightLobe]) -> String {
         String::from("// For a scene: light: Fixed(…) or Initial(…) around this.\nLobes(lobes: [\n");
     let three = |v: Vec3| format!("({:?}, {:?}, {:?})", v.x, v.y, v.z);
     for lobe in lobes {
-        let (axis, amplitude) = (three(lobe.axis), three(lobe.amplitude));
+        let (axis, color) = (three(lobe.axis), three(lobe.amplitude));
         // Writing to a `String` cannot fail.
-        let _ =
-            writeln!(text, "    (axis: {axis}, sharpness: {:?}, amplitude: {amplitude}),", lobe.sharpness);
+        let _ = writeln!(text, "    (axis: {axis}, sharpness: {:?}, amplitude: {color}),", lobe.sharpness);
     }
     text + "])\n"
 }

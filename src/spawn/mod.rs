@@ -207,9 +207,7 @@ const START: (f32, f32) = (0.3, 0.4);
 pub(crate) fn initial_specular(specular: &Specular) -> SpecularLobe {
     SpecularLobe {
         albedo: match specular.albedo {
-            SpecularAlbedo::Unknown { mono: true, initial: Some(initial) } => {
-                Vec3::splat(initial.element_sum() / 3.0)
-            }
+            SpecularAlbedo::Unknown { mono: true, initial: Some(of) } => Vec3::splat(of.element_sum() / 3.0),
             SpecularAlbedo::Unknown { initial, .. } => initial.unwrap_or(Vec3::splat(START.0)),
             SpecularAlbedo::Fixed(value) => value,
         },

@@ -286,8 +286,7 @@ fn try_ggx(session: &mut Session, pass: &FitPass, sg: &Steps) -> Result<()> {
     let before = checkpoint::save(world, Span::Pass)?;
     let first = first_material(world);
     put_lobe(world, SpecularLobe { ndf: Ndf::Ggx, ..first });
-    let hopeless =
-        |step, error| NDF_HOPELESS.iter().any(|(from, most)| step >= *from && error > most * sg.error);
+    let hopeless = |step, error| NDF_HOPELESS.iter().any(|(at, most)| step >= *at && error > most * sg.error);
     let tried = error_after(session, &options, &format!("{}, GGX", pass.name), NDF_TRIED, hopeless);
     let world = &mut session.pipeline.world;
     let found = first_material(world);

@@ -9,8 +9,8 @@ use crate::pass::{
     fit::TRUE_ENVIRONMENT, fit::light_files, photograph::ring, view::PAGE, view_report::VIEWS,
 };
 use crate::scene::{
-    EvaluatePass, Gloss, LayerTruth, Light, LightSource, Pass, PlacementLight, RenderPass, RenderSettings,
-    Scene, Truth, ViewChoice, Views, load::LoadedScene,
+    EvaluatePass, Gloss, LayerTruth, LightSource, Pass, PlacementLight, RenderSettings, Scene, Truth,
+    ViewChoice, Views, load::LoadedScene,
 };
 use crate::spawn::light::{files_of, inlined};
 use crate::{pass::export, pass::show::apply_edits, pass::show::edits_of_nothing, survey::open::OpenScene};
@@ -70,11 +70,11 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
                 names.extend(of_views(shape.cameras, shape.exposure));
                 names.extend(debug_every.map(|_| "debug/".to_owned()));
             }
-            Pass::Render(RenderPass { render, .. })
-            | Pass::Edit(RenderPass { render, .. })
-            | Pass::Relight(RenderPass { render, .. }) => {
-                names.extend(stems(render).flat_map(|stem| [format!("{stem}.exr"), format!("{stem}.png")]));
-                names.extend(render.orbit.iter().flat_map(|_| film_files()));
+            Pass::Render(of) | Pass::Edit(of) | Pass::Relight(of) => {
+                names.extend(
+                    stems(&of.render).flat_map(|stem| [format!("{stem}.exr"), format!("{stem}.png")]),
+                );
+                names.extend(of.render.orbit.iter().flat_map(|_| film_files()));
             }
             Pass::Evaluate(pass) => {
                 // A contact sheet, a table of the views, and small pictures of all views of the scored
@@ -111,11 +111,7 @@ fn of_save(scene: &Scene) -> BTreeSet<String> {
         };
         format!("{stem}.{extension}")
     };
-    let own = match &scene.light {
-        Light::Initial(source) | Light::Fixed(source) => Some(source),
-        Light::Unknown(_) => None,
-    };
-    let shown = own.into_iter().chain(scene.passes.iter().filter_map(Pass::light));
+    let shown = scene.light.source().into_iter().chain(scene.passes.iter().filter_map(Pass::light));
     let mut names: BTreeSet<String> = shown.map(|source| name("light", source)).collect();
     names.extend(scene.views.other_lights().iter().zip(2..).map(|(light, number)| match light {
         PlacementLight::Fixed(source) => name(&format!("light_{number}"), source),

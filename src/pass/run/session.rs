@@ -101,16 +101,12 @@ impl<'a> Session<'a> {
             light.notes.iter().for_each(|note| progress.note(note));
             Ok(light)
         };
-        let own_light = match &scene.light {
-            Light::Initial(source) | Light::Fixed(source) => Some(load(source)?),
-            Light::Unknown(_) => None,
-        };
+        let own_light = scene.light.source().map(load).transpose()?;
         let of_group = |light: PlacementLight| match light {
             PlacementLight::Fixed(source) => load(&source).map(Some),
             PlacementLight::Own | PlacementLight::Same => Ok(None),
         };
-        let other_lights: Vec<_> =
-            scene.views.other_lights().into_iter().map(of_group).collect::<Result<_>>()?;
+        let others: Vec<_> = scene.views.other_lights().into_iter().map(of_group).collect::<Result<_>>()?;
         let of_pass = |pass: &Pass| Some(load(pass.light()?).map(|light| (pass.name().to_owned(), light)));
         let pass_lights = scene.passes.iter().filter_map(of_pass).collect::<Result<_>>()?;
         let mut truth = None;
@@ -151,7 +147,7 @@ impl<'a> Session<'a> {
             session.pipeline.world.insert_resource(device.clone());
         }
         let Self { pipeline, surface, own_light, .. } = &mut session;
-        spawn(pipeline, scene, surface, views, own_light.as_ref(), &other_lights)?;
+        spawn(pipeline, scene, surface, views, own_light.as_ref(), &others)?;
         check_passes(&mut session)?;
         Ok(session)
     }

@@ -67,7 +67,7 @@ impl Reporter {
     /// A reporter; if the run is watched (`live`), its pages load themselves again until it ends.
     pub fn new(live: bool) -> Self {
         let begin = || Live { pass: String::new(), log: String::new(), written: Instant::now() };
-        Self { pictures: Pictures::default(), live: live.then(begin) }
+        Self { live: live.then(begin), ..Self::default() }
     }
 
     /// Takes in a step of a fit or shape, and now and then writes a page with its curves and worst views,
@@ -215,8 +215,7 @@ fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) 
 /// count.
 fn parse_log(pass: &str, text: &str) -> Option<FitLog> {
     let mut lines = text.lines();
-    let mut columns: Vec<(String, Vec<f64>)> =
-        lines.next()?.split(',').map(|of| (of.to_owned(), vec![])).collect();
+    let mut columns: Vec<(_, Vec<f64>)> = lines.next()?.split(',').map(|n| (n.to_owned(), vec![])).collect();
     for line in lines {
         let step = line.split(',').next()?.parse().unwrap_or(f64::NAN);
         let kept = columns[0].1.iter().take_while(|before| **before < step).count();

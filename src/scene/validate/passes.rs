@@ -355,13 +355,12 @@ fn evaluate(at: &Place, evaluate: &mut EvaluatePass, views: &Views, earlier: &[P
 
 /// The path of a file of each view lies below its folder, and says which view it is of.
 fn files_of_views(at: &Place, folder: &mut PathBuf, file: &str) {
-    let is_below =
-        Path::new(file).components().all(|of| matches!(of, Component::Normal(_) | Component::CurDir));
+    let below = Path::new(file).components().all(|of| matches!(of, Component::Normal(_) | Component::CurDir));
     let help = format!("For the views of {}, write `file: \"{VIEW}/albedo.png\"`.", folder.display());
     if !file.contains(VIEW) {
         let expected = format!("a path with `{VIEW}`, which stands for the name of a view");
         at.at("file").fail(format!("{file:?} is one file for all views"), expected, help);
-    } else if !is_below {
+    } else if !below {
         let problem = format!("{file:?} does not lie in `folder`");
         at.at("file").fail(problem, "expected a path from there, without `..`", help);
     }
