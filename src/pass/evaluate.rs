@@ -122,7 +122,22 @@ fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -
     session.scores.passes.insert(score.pass.clone(), scores);
     if i == 0 {
         session.scores.mask_iou = mean(overlaps.into_iter().flatten());
-        score_layers(session, pass, &scored)?;
+        if let Some(truth) = &pass.albedo {
+            let pixels = (0..scored.views.len())
+                .map(|i| layer_pixels(session, &scored, truth, Layer::Albedo, i))
+                .collect::<Result<Vec<_>>>()?;
+            let pairs = pixels.iter().map(LayerPixels::pair).collect::<Result<Vec<_>>>()?;
+            session.scores.albedo_psnr = albedo_psnr(&pairs);
+        }
+        if let Some(truth) = &pass.normal {
+            let mut angles = NormalAngles::default();
+            for i in 0..scored.views.len() {
+                angles.add(&layer_pixels(session, &scored, truth, Layer::Normal, i)?.pair()?);
+            }
+            session.scores.normal_deg = angles.mean_degrees();
+            session.scores.normal_pixels = Some(angles.pixels() as u64);
+            session.scores.normal_median_deg = angles.median_degrees();
+        }
     }
     Ok(row)
 }
@@ -198,27 +213,6 @@ impl LayerPixels {
     fn pair(&self) -> Result<ImagePair<'_>> {
         ImagePair::new([self.counts.len(), 1], &self.prediction, &self.truth, &self.counts)
     }
-}
-
-/// Scores the albedo and normals of the views of a pass.
-fn score_layers(session: &mut Session, pass: &EvaluatePass, scored: &ScoredPass) -> Result<()> {
-    if let Some(truth) = &pass.albedo {
-        let pixels = (0..scored.views.len())
-            .map(|i| layer_pixels(session, scored, truth, Layer::Albedo, i))
-            .collect::<Result<Vec<_>>>()?;
-        let pairs = pixels.iter().map(LayerPixels::pair).collect::<Result<Vec<_>>>()?;
-        session.scores.albedo_psnr = albedo_psnr(&pairs);
-    }
-    if let Some(truth) = &pass.normal {
-        let mut angles = NormalAngles::default();
-        for i in 0..scored.views.len() {
-            angles.add(&layer_pixels(session, scored, truth, Layer::Normal, i)?.pair()?);
-        }
-        session.scores.normal_deg = angles.mean_degrees();
-        session.scores.normal_pixels = Some(angles.pixels() as u64);
-        session.scores.normal_median_deg = angles.median_degrees();
-    }
-    Ok(())
 }
 
 /// A layer of view `i`.

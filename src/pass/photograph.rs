@@ -24,7 +24,7 @@ pub struct TrueObject {
     pipeline: Pipeline,
     surface: Arc<Surface>,
     /// Its light in each round.
-    lights: Vec<LoadedLight>,
+    pub lights: Vec<LoadedLight>,
     light_frame: LightFrame,
     placements: Vec<Mat3>,
     max_bounces: u32,
@@ -59,11 +59,6 @@ impl TrueObject {
             placements: std::iter::once(Mat3::IDENTITY).chain(turned).collect(),
             max_bounces: spec.max_bounces,
         })
-    }
-
-    /// The lobes of its light in the first round.
-    pub fn lobes(&self) -> &[LightLobe] {
-        &self.lights[0].lobes
     }
 
     /// Path-traced pictures of the true object, optionally under another light or with edits. In its own light it lies as in the placement of each.

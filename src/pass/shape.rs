@@ -104,7 +104,45 @@ pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
 /// Fits the shape, with a bar and a look at it now and then. Returns the surface that was found, and
 /// whether the run was stopped before the end.
 fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
-    let options = options(session, pass);
+    let level = |level: &GridLevel| ShapeLevel {
+        cells: level.cells,
+        texel_cells: level.texel_cells,
+        least_pixels: level.pixels,
+        schedule: ShapeSchedule {
+            steps: level.steps,
+            hold: level.hold,
+            rates: level.rates,
+            silhouette: pass.silhouette,
+            silhouette_batch: pass.silhouette_batch as usize,
+            smoothness: pass.smoothness,
+            blur: pass.blur,
+            redistance_every: REDISTANCE_EVERY,
+        },
+    };
+    let max_pixels = pass.max_pixels as usize;
+    let options = ShapeOptions {
+        levels: pass.levels.iter().map(level).collect(),
+        fit: FitOptions {
+            loss: pass.loss,
+            form: closed_form(pass.shading, Quality::Default),
+            batch: pass.batch as usize,
+            rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
+            milestones: vec![0.6, 0.85],
+            // While the surface moves, its normals would take part in a sheen.
+            unknowns: Unknowns { sheen: false, ..session.unknowns() },
+            pixels: PixelChoice { seed: session.scene.seed, max_pixels, evenly: false },
+            initialize: session.kept.initialize,
+            exposure: pass.exposure,
+            // Without shadows, which would have to be traced at every step, dark regions would bias the color of the highlights.
+            scale: ScaleRule::Free,
+            light_frame: session.scene.light_frame.frame(&session.scene.light),
+            ..FitOptions::default()
+        },
+        cameras: pass.cameras,
+        // Colors of different exposures tell nothing of depth.
+        hollows: pass.hollows && matches!(pass.exposure, ExposureChoice::Auto | ExposureChoice::Equal),
+        spans_unseen: pass.spans_unseen,
+    };
     // How many levels there are is known once the hull is.
     let bar = session.progress.bar(&pass.name, 0);
     bar.set_message("hull".into());
@@ -137,48 +175,6 @@ fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
     bar.finish_and_clear();
     failure.map_or(Ok(()), Err)?;
     Ok((surface, stopped))
-}
-
-fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
-    let level = |level: &GridLevel| ShapeLevel {
-        cells: level.cells,
-        texel_cells: level.texel_cells,
-        least_pixels: level.pixels,
-        schedule: ShapeSchedule {
-            steps: level.steps,
-            hold: level.hold,
-            rates: level.rates,
-            silhouette: pass.silhouette,
-            silhouette_batch: pass.silhouette_batch as usize,
-            smoothness: pass.smoothness,
-            blur: pass.blur,
-            redistance_every: REDISTANCE_EVERY,
-        },
-    };
-    let max_pixels = pass.max_pixels as usize;
-    ShapeOptions {
-        levels: pass.levels.iter().map(level).collect(),
-        fit: FitOptions {
-            loss: pass.loss,
-            form: closed_form(pass.shading, Quality::Default),
-            batch: pass.batch as usize,
-            rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
-            milestones: vec![0.6, 0.85],
-            // While the surface moves, its normals would take part in a sheen.
-            unknowns: Unknowns { sheen: false, ..session.unknowns() },
-            pixels: PixelChoice { seed: session.scene.seed, max_pixels, evenly: false },
-            initialize: session.kept.initialize,
-            exposure: pass.exposure,
-            // Without shadows, which would have to be traced at every step, dark regions would bias the color of the highlights.
-            scale: ScaleRule::Free,
-            light_frame: session.light_frame(),
-            ..FitOptions::default()
-        },
-        cameras: pass.cameras,
-        // Colors of different exposures tell nothing of depth.
-        hollows: pass.hollows && matches!(pass.exposure, ExposureChoice::Auto | ExposureChoice::Equal),
-        spans_unseen: pass.spans_unseen,
-    }
 }
 
 /// Says how much was removed from the hull since it was `told`, where that can be seen; then all of it is `told`.

@@ -172,7 +172,11 @@ pub(crate) fn inlined(path: &Path, scale: f32, rotation_degrees: Vec3) -> Result
         return Err(bad_ron(path, "", problem.to_owned()));
     }
     *own_scale *= scale;
-    *own_degrees = turned_after(*own_degrees, rotation_degrees);
+    *own_degrees = if *own_degrees == Vec3::ZERO || rotation_degrees == Vec3::ZERO {
+        *own_degrees + rotation_degrees
+    } else {
+        angles(rotation(rotation_degrees) * rotation(*own_degrees))
+    };
     Ok(source)
 }
 
@@ -199,14 +203,6 @@ pub fn rotation(degrees: Vec3) -> Quat {
 pub fn angles(turn: Quat) -> Vec3 {
     let (x, y, z) = turn.to_euler(EulerRot::XYZEx);
     Vec3::new(x, y, z) * (180.0 / std::f32::consts::PI)
-}
-
-/// Angles of one turn after another, each about x, then y, then z.
-fn turned_after(first: Vec3, then: Vec3) -> Vec3 {
-    if first == Vec3::ZERO || then == Vec3::ZERO {
-        return first + then;
-    }
-    angles(rotation(then) * rotation(first))
 }
 
 /// The light of a source.

@@ -98,7 +98,7 @@ pub(crate) fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     report(session, &pass.name, &summary, unseen);
     write_results(&mut session.pipeline.world, session.surface.atlas(), &folder, &scale)?;
     if let Some(truth) = &session.truth {
-        write_environment(&folder.join(TRUE_ENVIRONMENT), truth.lobes())?;
+        write_environment(&folder.join(TRUE_ENVIRONMENT), &truth.lights[0].lobes)?;
     }
     write_bytes(&folder.join("log.csv"), take_log(&mut session.pipeline.world).as_bytes())?;
     session.scores.scale = Some(scale);

@@ -268,11 +268,8 @@ fn ndf_is_open(session: &Session, pass: &FitPass) -> bool {
 
 /// The step after which the trial that has begun is decided.
 fn decided_after(session: &Session) -> Option<u32> {
-    session
-        .scores
-        .ndf_tried
-        .filter(|tried| tried.sg.is_none() && !session.kept.several)
-        .map(|tried| tried.steps)
+    let tried = session.scores.ndf_tried.filter(|tried| tried.sg.is_none() && !session.kept.several);
+    Some(tried?.steps)
 }
 
 /// Takes the steps of the trial with GGX from here, after those with the spherical Gaussian, and goes back.
@@ -380,7 +377,7 @@ fn options(session: &mut Session, pass: &FitPass, done: Done) -> Result<FitOptio
         exposure: pass.exposure,
         measures: true,
         scale: session.scene.scale,
-        light_frame: session.light_frame(),
+        light_frame: session.scene.light_frame.frame(&session.scene.light),
     })
 }
 

@@ -394,8 +394,6 @@ pub fn looks<'a>(scene: &Scene, survey: Option<&'a Survey>) -> Result<Cow<'a, [V
 }
 
 fn bare_views(specs: &[CameraSpec]) -> Result<Vec<ViewRecord>> {
-    specs
-        .iter()
-        .map(|spec| Ok(ViewRecord::of_camera(spec.name.clone(), spec.split, camera_of(spec)?)))
-        .collect()
+    let view = |of: &CameraSpec| Ok(ViewRecord::of_camera(of.name.clone(), of.split, camera_of(of)?));
+    specs.iter().map(view).collect()
 }

@@ -184,11 +184,6 @@ impl<'a> Session<'a> {
         Ok(!self.pipeline.world.resource::<ObjectVisibility>().sees_all())
     }
 
-    /// The frame in which the scene's own light stands still; `None` if a fit is to find it.
-    pub fn light_frame(&self) -> Option<LightFrame> {
-        self.scene.light_frame.frame(&self.scene.light)
-    }
-
     /// Says which frame the pass found the light to stand still in, if it looked for it.
     pub fn report_light_frame(&mut self, pass: &str) {
         let world = &mut self.pipeline.world;

@@ -314,7 +314,12 @@ fn scored_views(out: &Path, record: &Record, scores: &Scores, pictures: &mut Pic
 fn unscored_views(out: &Path, record: &Record, scores: &Scores, pictures: &mut Pictures) -> Vec<PassViews> {
     let mut views = Vec::new();
     for pass in record.passes.iter().filter(|pass| pass.state == RunState::Finished) {
-        let stems = stems_of(pass);
+        // The views that it rendered, each an EXR and a PNG. A fit writes such pairs as well, with its light.
+        let start = pass.name.len() + 1;
+        let files: BTreeSet<&str> = pass.files.iter().filter_map(|file| file.get(start..)).collect();
+        let is_view = |stem: &&str| !stem.contains('/') && files.contains(format!("{stem}.exr").as_str());
+        let stems = files.iter().filter_map(|file| file.strip_suffix(".png")).filter(is_view);
+        let stems: Vec<&str> = stems.filter(|_| !files.contains("light.npy")).collect();
         if stems.is_empty() || scores.passes.contains_key(&pass.name) {
             continue;
         }
@@ -329,15 +334,6 @@ fn unscored_views(out: &Path, record: &Record, scores: &Scores, pictures: &mut P
         views.push(PassViews { pass: pass.name.clone(), views: shown, left_out });
     }
     views
-}
-
-/// The views that a pass rendered, each an EXR and a PNG. A fit writes such pairs as well, with its light.
-fn stems_of(pass: &PassRecord) -> Vec<&str> {
-    let start = pass.name.len() + 1;
-    let files: BTreeSet<&str> = pass.files.iter().filter_map(|file| file.get(start..)).collect();
-    let stems = files.iter().filter_map(|file| file.strip_suffix(".png"));
-    let is_view = |stem: &&str| !stem.contains('/') && files.contains(format!("{stem}.exr").as_str());
-    if files.contains("light.npy") { Vec::new() } else { stems.filter(is_view).collect() }
 }
 
 /// The table of runs for the terminal; each has a name and its output folder.

@@ -33,7 +33,7 @@ const MOST_CAMERAS: usize = 20_000;
 /// Checks every value of the scene of a file in `base_dir`, and resolves every path in place.
 pub(super) fn check(scene: &mut Scene, base_dir: &Path, options: &LoadOptions) -> Found {
     let found = RefCell::default();
-    let root = Place::new(base_dir, options, &found);
+    let root = Place { path: String::new(), base_dir, options, found: &found };
     if scene.version != VERSION {
         root.at("version").fail(format!("version is {}", scene.version), format!("expected {VERSION}"), "");
     }
@@ -389,20 +389,10 @@ struct Place<'a> {
 }
 
 impl<'a> Place<'a> {
-    /// The whole scene.
-    pub fn new(base_dir: &'a Path, options: &'a LoadOptions, found: &'a RefCell<Found>) -> Self {
-        Self { path: String::new(), base_dir, options, found }
-    }
-
     /// The place of a field, or of an item by its index.
     pub fn at(&self, step: impl Display) -> Self {
         let path = if self.path.is_empty() { step.to_string() } else { format!("{}.{step}", self.path) };
         Self { path, ..self.clone() }
-    }
-
-    /// The place of the whole scene.
-    pub fn root(&self) -> Self {
-        Self { path: String::new(), ..self.clone() }
     }
 
     /// Adds a problem with this place.

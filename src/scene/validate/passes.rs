@@ -126,7 +126,11 @@ fn rates(at: &Place, rates: &Rates) {
 
 fn shape(at: &Place, shape: &ShapePass, scene: &Scene) {
     let gloss = |problem: &str, help: &str| {
-        at.root().at("material").at("gloss").fail(problem, "expected `Auto`, `One` or `Blend(…)`", help);
+        Place { path: "material.gloss".to_owned(), ..at.clone() }.fail(
+            problem,
+            "expected `Auto`, `One` or `Blend(…)`",
+            help,
+        );
     };
     match scene.material.gloss {
         Gloss::Fixed { .. } => gloss("known blend weights belong to a known surface", ""),
