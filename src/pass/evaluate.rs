@@ -4,8 +4,8 @@
 //! The pass writes a contact sheet of a few views, and for the report small pictures of all views: `<scored pass>/<view>_truth.jpg`, `_render.jpg` and
 //! `_error.jpg`. Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files.
 
-use crate::pass::view_report::outlier_share;
-use crate::pass::{render::ChosenView, render::chosen_views, run::session::Session, view_report};
+use crate::pass::render::{ChosenView, chosen_views};
+use crate::pass::{run::session::Session, view_report, view_report::outlier_share};
 use crate::report::metrics::{ImagePair, NormalAngles, albedo_psnr, coverage_iou, erode, mean};
 use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{SheetRow, choose_evenly, write_sheet};

@@ -9,11 +9,10 @@ use lobelia_geometry::{error::Result, error::stop::check_interrupted, mesh::Surf
 use lobelia_sg::{fibonacci::fibonacci_axes, ray::Intersect};
 use lobelia_solve::shade::frame::{FramePlugin, render_frame, resolve};
 use lobelia_world::light::lights::{LightChoice, provide_light, spawn_light};
-use lobelia_world::light::placement::{LightGroup, PicturePlacement};
-use lobelia_world::material::shown::{show_edited, spawn_material};
+use lobelia_world::light::{light_frame::LightFrame, placement::LightGroup, placement::PicturePlacement};
 use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, edit::MaterialState};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
-use lobelia_world::{light::LightLobe, light::light_frame::LightFrame, sample::point::Scenery};
+use lobelia_world::{material::shown::show_edited, material::shown::spawn_material, sample::point::Scenery};
 use std::sync::Arc;
 
 /// Name of the light and the edits of the true object.
@@ -100,33 +99,29 @@ impl TrueObject {
         }
         Ok(frames)
     }
+
+    /// Its photographs, from the cameras of the scene.
+    pub fn take(&mut self, spec: &Photographed, scene: &Scene, to: &dyn Progress) -> Result<Vec<ViewRecord>> {
+        let mut views = imagine(spec, scene)?;
+        let bar = to.bar("photograph", views.len() as u64);
+        let shown: Vec<_> = views.iter().map(|view| (view.camera, view.placement)).collect();
+        let frames = self.pictures(&shown, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
+        bar.finish_and_clear();
+        for (view, frame) in views.iter_mut().zip(frames) {
+            let Camera { width, height, .. } = view.camera;
+            let (image, mask) = (Image { width, height, pixels: frame.color }, frame.alpha);
+            view.photograph = Some(Photograph::of_image(&image));
+            view.mask = Some(StoredMask::new(&Mask { width, height, coverage: mask }));
+        }
+        Ok(views)
+    }
 }
 
 fn name_of(light: usize) -> String {
     format!("{TRUTH} {light}")
 }
 
-pub fn take(
-    truth: &mut TrueObject,
-    spec: &Photographed,
-    scene: &Scene,
-    progress: &dyn Progress,
-) -> Result<Vec<ViewRecord>> {
-    let mut views = imagine(spec, scene)?;
-    let bar = progress.bar("photograph", views.len() as u64);
-    let shown: Vec<(Camera, Placement)> = views.iter().map(|view| (view.camera, view.placement)).collect();
-    let frames = truth.pictures(&shown, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
-    bar.finish_and_clear();
-    for (view, frame) in views.iter_mut().zip(frames) {
-        let Camera { width, height, .. } = view.camera;
-        let (image, mask) = (Image { width, height, pixels: frame.color }, frame.alpha);
-        view.photograph = Some(Photograph::of_image(&image));
-        view.mask = Some(StoredMask::new(&Mask { width, height, coverage: mask }));
-    }
-    Ok(views)
-}
-
-/// The views of [`take`] with photographs that are not rendered, for checks that look at no pixel.
+/// The views of [`TrueObject::take`] with photographs that are not rendered, for checks that look at no pixel.
 pub(crate) fn imagine(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewRecord>> {
     // The placements in turn.
     let rounds = spec.truth.rounds() as u32;

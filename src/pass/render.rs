@@ -94,7 +94,19 @@ fn render_film(
         let writer = scope.spawn(move || ready.into_iter().try_for_each(write));
         let rendered = (0..).zip(cameras).zip(&files).try_for_each(|((frame, camera), file)| {
             check_interrupted()?;
-            show_moment(session, pass, settings, orbit, frame);
+            // Swaps in the light of the frame, and edits the material, if the film changes them.
+            let time = Time::of(frame, orbit.frames);
+            if let Some(sweep) = &orbit.light {
+                let (choice, by_map) = chosen_light(session, pass, settings.shading);
+                let light = provide_turned_light(choice, by_map, light_turn(sweep, session.scene.up, time));
+                session.pipeline.swap(Phase::Frame, Slot::Light, light);
+            }
+            if let Some(sweep) = &orbit.material {
+                if frame == 0 {
+                    session.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
+                }
+                sweep_material(&mut session.pipeline.world, pass.name(), factors(sweep, time));
+            }
             let frame = film_frame(&mut session.pipeline, *camera, settings)?;
             bar.inc(1);
             // A writer that has failed says why below.
@@ -221,9 +233,7 @@ fn bands(
 }
 
 /// The files that a film may have; one that ends with `/` is a folder.
-pub(crate) fn film_files() -> [String; 3] {
-    [format!("{FILM}.mp4"), format!("{FILM}.gif"), format!("{FRAMES}/")]
-}
+pub(crate) const FILM_FILES: [&str; 3] = ["orbit.mp4", "orbit.gif", "orbit_frames/"];
 
 /// The time of a frame, in two measures.
 #[derive(Clone, Copy, Debug)]
@@ -289,27 +299,11 @@ fn between_keys(keys: &[OrbitKey], pick: impl Fn(&OrbitKey) -> Option<f32>, time
     }
 }
 
-/// Swaps in the light of a frame, and edits the material, if the film changes them. [`sweep_material`] without factors ends it.
-fn show_moment(session: &mut Session, pass: &Pass, settings: &RenderSettings, orbit: &Orbit, frame: u32) {
-    let time = Time::of(frame, orbit.frames);
-    if let Some(sweep) = &orbit.light {
-        let (choice, by_map) = chosen_light(session, pass, settings.shading);
-        let turn = light_turn(sweep, session.scene.up, time);
-        session.pipeline.swap(Phase::Frame, Slot::Light, provide_turned_light(choice, by_map, turn));
-    }
-    if let Some(sweep) = &orbit.material {
-        if frame == 0 {
-            session.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
-        }
-        sweep_material(&mut session.pipeline.world, pass.name(), factors(sweep, time));
-    }
-}
-
 /// Marks the edits by which a film changes the material, until its next frame.
 #[derive(Component)]
 struct Swept;
 
-/// Replaces the swept edits by `factors`, after all other edits of the pass; each has its own target, so that they need no order.
+/// Replaces the swept edits by `factors`, of which none ends the sweep, after all other edits of the pass; each has its own target, so that they need no order.
 fn sweep_material(world: &mut World, pass: &str, factors: Vec<(EditTarget, EditAction)>) {
     let mut query = world.query_filtered::<Entity, With<Swept>>();
     let old: Vec<Entity> = query.iter(world).collect();

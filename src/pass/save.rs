@@ -49,10 +49,25 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     let light = save_source(given, &lobes, &folder.join("light"))?;
     let own = session.pipeline.world.get_resource::<OwnLightFrame>().filter(|_| !relit);
     let frame = own.map(|own| own.0).unwrap_or_default();
+    // With absolute paths; rendered photographs become cameras only, of the object in its first placement. An object that is relit lies
+    // in its new light the same in all.
+    let views = match &session.scene.views {
+        Views::Dataset(spec) => {
+            let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
+            let found = session.pipeline.world.get_resource::<CameraFit>();
+            let focal_scale = spec.focal_scale * found.map_or(1.0, CameraFit::focal_factor);
+            // All is known: nothing is left that prior maps would say.
+            let priors = Priors::default();
+            let placements = if relit { Vec::new() } else { placements_found(session, spec, &folder)? };
+            Views::Dataset(Dataset { path, focal_scale, priors, placements, ..spec.clone() })
+        }
+        Views::Cameras(cameras) => Views::Cameras(cameras.clone()),
+        Views::Photographed(spec) => Views::Cameras(ring(&spec.cameras, session.scene.up)),
+    };
     let texture_size = atlas.width;
     let saved = Scene {
         surface: SurfaceSpec::Mesh { path: "mesh.glb".into(), texture_size, own_material: false },
-        views: saved_views(session, relit, &folder)?,
+        views,
         light: Light::Fixed(light),
         light_frame: frame.into(),
         material,
@@ -172,22 +187,4 @@ fn placements_found(session: &mut Session, spec: &Dataset, folder: &Path) -> Res
         Ok(PlacementSpec { turned_degrees: found.or(of.turned_degrees), light, ..of.clone() })
     };
     spec.placements.iter().zip(&turns.0).map(found).collect()
-}
-
-/// The scene's views with absolute paths; rendered photographs become cameras only, of the object in its first placement. An object that is `relit`
-/// lies in its new light the same in all.
-fn saved_views(session: &mut Session, relit: bool, folder: &Path) -> Result<Views> {
-    match &session.scene.views {
-        Views::Dataset(spec) => {
-            let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
-            let found = session.pipeline.world.get_resource::<CameraFit>();
-            let focal_scale = spec.focal_scale * found.map_or(1.0, CameraFit::focal_factor);
-            // All is known: nothing is left that prior maps would say.
-            let priors = Priors::default();
-            let placements = if relit { Vec::new() } else { placements_found(session, spec, folder)? };
-            Ok(Views::Dataset(Dataset { path, focal_scale, priors, placements, ..spec.clone() }))
-        }
-        Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),
-        Views::Photographed(spec) => Ok(Views::Cameras(ring(&spec.cameras, session.scene.up))),
-    }
 }

@@ -159,9 +159,12 @@ pub(crate) struct Machine {
 impl Machine {
     /// This machine, with the threads that rayon has.
     pub fn this() -> Self {
+        let text = read_to_string("/proc/cpuinfo").unwrap_or_default();
+        let line = text.lines().find(|line| line.starts_with("model name")).and_then(|of| of.split_once(':'));
+        let processor = line.map(|(_, name)| name.split_whitespace().collect::<Vec<_>>().join(" "));
         Self {
             system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
-            processor: read_to_string("/proc/cpuinfo").ok().and_then(|text| processor_in(&text)),
+            processor: processor.filter(|name| !name.is_empty()),
             simd: level_name().to_owned(),
             threads: rayon::current_num_threads(),
             memory_mib: machine_memory().map(|bytes| bytes >> 20),
@@ -176,13 +179,6 @@ impl Machine {
         let parts = parts.into_iter().flatten().chain([self.system.clone()]);
         parts.collect::<Vec<_>>().join(", ")
     }
-}
-
-/// The first "model name" of `/proc/cpuinfo`.
-fn processor_in(text: &str) -> Option<String> {
-    let line = text.lines().find_map(|line| line.strip_prefix("model name"))?;
-    let name = line.split_once(':')?.1.split_whitespace().collect::<Vec<_>>().join(" ");
-    (!name.is_empty()).then_some(name)
 }
 
 #[cfg(test)]

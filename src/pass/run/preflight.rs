@@ -2,18 +2,16 @@
 //! missing ground truth is an error at the start, not after a long fit. `lobelia check` makes the
 //! same checks.
 
-use crate::pass::evaluate::{PARTS, read_fitting};
-use crate::pass::render::{chosen_stems, chosen_views, film_files};
-use crate::pass::run::{record::PassRecord, session::Session};
-use crate::pass::{
-    fit::TRUE_ENVIRONMENT, fit::light_files, photograph::ring, view::PAGE, view_report::VIEWS,
+use crate::{
+    pass::evaluate::PARTS, pass::evaluate::read_fitting, pass::export, pass::fit::TRUE_ENVIRONMENT,
+    pass::fit::light_files, pass::photograph::ring, pass::render::FILM_FILES, pass::render::chosen_stems,
+    pass::render::chosen_views, pass::run::record::PassRecord, pass::run::session::Session,
+    pass::show::apply_edits, pass::show::edits_of_nothing, pass::view::PAGE, pass::view_report::VIEWS,
+    scene::EvaluatePass, scene::Gloss, scene::LayerTruth, scene::LightSource, scene::Pass,
+    scene::PlacementLight, scene::RenderSettings, scene::Scene, scene::Truth, scene::ViewChoice,
+    scene::Views, scene::load::LoadedScene, spawn::light::files_of, spawn::light::inlined,
+    survey::open::OpenScene,
 };
-use crate::scene::{
-    EvaluatePass, Gloss, LayerTruth, LightSource, Pass, PlacementLight, RenderSettings, Scene, Truth,
-    ViewChoice, Views, load::LoadedScene,
-};
-use crate::spawn::light::{files_of, inlined};
-use crate::{pass::export, pass::show::apply_edits, pass::show::edits_of_nothing, survey::open::OpenScene};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use lobelia_geometry::view::{Frame, Photograph, Split, ViewName, ViewRecord};
@@ -74,7 +72,7 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
                 names.extend(
                     stems(&of.render).flat_map(|stem| [format!("{stem}.exr"), format!("{stem}.png")]),
                 );
-                names.extend(of.render.orbit.iter().flat_map(|_| film_files()));
+                names.extend(of.render.orbit.iter().flat_map(|_| FILM_FILES.map(str::to_owned)));
             }
             Pass::Evaluate(pass) => {
                 // A contact sheet, a table of the views, and small pictures of all views of the scored

@@ -113,7 +113,7 @@ impl<'a> Session<'a> {
         if let Views::Photographed(spec) = &scene.views {
             let truth = truth.insert(TrueObject::new(spec, &surface)?);
             views = match rendered {
-                true => photograph::take(truth, spec, scene, progress)?,
+                true => truth.take(spec, scene, progress)?,
                 false => photograph::imagine(spec, scene)?,
             };
         }
