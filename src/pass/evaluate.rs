@@ -35,13 +35,6 @@ struct ScoredView {
     mask_iou: Option<f64>,
 }
 
-impl ScoredView {
-    /// Coverage of the object: the view's mask, or as rendered if it has none.
-    fn outline(&self) -> &[f32] {
-        if self.eval.coverage.is_empty() { &self.eval.alpha } else { &self.eval.coverage }
-    }
-}
-
 /// A pass that is scored. Its views are read one at a time, with the layers that are needed: one takes 45 bytes a pixel, and 12 more a layer.
 struct ScoredPass {
     name: String,
@@ -265,9 +258,11 @@ fn show_views(
         let EvalView { name, width, height, truth, .. } = &view.eval;
         let shown = scores.scored_prediction(&view.eval);
         outliers.push(outlier_share(&view.eval, &shown));
-        let error = error_map([*width, *height], [&shown, truth], view.outline());
+        // Coverage of the object: the view's mask, or as rendered if it has none.
+        let alpha = if view.eval.coverage.is_empty() { &view.eval.alpha } else { &view.eval.coverage };
+        let error = error_map([*width, *height], [&shown, truth], alpha);
         // On the mat of a light sheet.
-        let (width, height, alpha) = (*width, *height, view.outline());
+        let (width, height) = (*width, *height);
         let picture = |color: &[Vec3]| Picture { width, height, color, alpha }.on_mat();
         let pictures = [picture(truth)?, picture(&shown)?, error];
         for (part, picture) in PARTS.iter().zip(&pictures) {

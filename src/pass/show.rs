@@ -180,15 +180,14 @@ fn region_weights(region: &Region, atlas: &TexelAtlas) -> Result<Option<Vec<f32>
 
 /// Distance of a point from the line through others, straight from each to the next; infinite if there are none.
 fn distance_to_line(from: Vec3, points: &[Vec3]) -> f32 {
+    let to_segment = |ends: &[Vec3]| {
+        let (offset, along) = (from - ends[0], ends[1] - ends[0]);
+        let squared = along.length_squared();
+        let t = if squared > 0.0 { (offset.dot(along) / squared).clamp(0.0, 1.0) } else { 0.0 };
+        offset.distance(t * along)
+    };
     let first = points.first().map_or(f32::INFINITY, |point| from.distance(*point));
-    points.windows(2).map(|ends| distance_to_segment(from, ends[0], ends[1])).fold(first, f32::min)
-}
-
-fn distance_to_segment(from: Vec3, start: Vec3, end: Vec3) -> f32 {
-    let (offset, along) = (from - start, end - start);
-    let squared = along.length_squared();
-    let t = if squared > 0.0 { (offset.dot(along) / squared).clamp(0.0, 1.0) } else { 0.0 };
-    offset.distance(t * along)
+    points.windows(2).map(to_segment).fold(first, f32::min)
 }
 
 /// The weight at a depth inside the boundary of the region: 0 outside, 1 from `falloff` on, smooth between.

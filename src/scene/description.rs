@@ -389,10 +389,7 @@ pub enum NdfChoice {
 impl NdfChoice {
     /// Returns the distribution that a fit begins with, and that all else has.
     pub fn first(self) -> Ndf {
-        match self {
-            Self::Auto | Self::Sg => Ndf::Sg,
-            Self::Ggx => Ndf::Ggx,
-        }
+        if self == Self::Ggx { Ndf::Ggx } else { Ndf::Sg }
     }
 }
 

@@ -111,10 +111,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     let (views, survey) = read_views(&loaded.scene, data, progress)?;
     let looks = looks(&loaded.scene, survey.as_ref())?;
     let scene = memory::within(&loaded.scene, &looks, options.memory, progress)?;
-    let use_of = match scene.passes.first() {
-        Some(Pass::Shape(_)) => SurfaceUse::UntilShape,
-        _ => SurfaceUse::Lasting,
-    };
+    let is_draft = matches!(scene.passes.first(), Some(Pass::Shape(_)));
+    let use_of = if is_draft { SurfaceUse::UntilShape } else { SurfaceUse::Lasting };
     let mut session = Session::open(&scene, views, options, progress, use_of, true)?;
     if let Some(survey) = survey {
         let warnings = survey.findings_of(Severity::Warning);

@@ -180,7 +180,7 @@ pub(super) fn resumed(out: &Path, loaded: &LoadedScene) -> Result<Option<Record>
         let help = "Choose another folder with --out, or replace its results with --force.";
         return Err(Error::usage(problem, help));
     }
-    if record.state == RunState::Finished || resume::are_kept(out) {
+    if record.state == RunState::Finished || out.join(resume::FOLDER).is_dir() {
         return Ok(Some(record));
     }
     // Of a pass that waits there is what an earlier run left, if the process was killed before that was removed.
@@ -305,7 +305,7 @@ impl Claim {
                 ..old.unwrap_or(pass).clone()
             });
         }
-        let (stale, kept) = self.leftovers(&passes);
+        let (mut stale, kept) = self.leftovers(&passes);
         let Self { lock, out, plan, .. } = self;
         passes.extend(plan.iter().skip(done).cloned());
         let mut record = Record {
@@ -324,31 +324,25 @@ impl Claim {
             earlier: [stale.clone(), kept.clone()].concat(),
         };
         record.write(&out)?;
-        clear(&out, stale, &plan)?;
+        // Old files go, and what was left unfinished. A saved scene must not outlive the files that it names.
+        stale.sort_by_key(|file| !file.ends_with(".ron"));
+        for file in &stale {
+            let path = out.join(file);
+            fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+        }
+        clear_scratch(&out)?;
+        let of_stale = stale.iter().flat_map(|file| parents(file));
+        let folders: BTreeSet<String> = plan.iter().flat_map(folders_of).chain(of_stale).collect();
+        // Those inside come before those around them.
+        for folder in folders.iter().rev().map(|folder| out.join(folder)) {
+            clear_scratch(&folder)?;
+            // Folders go if nothing is left in them.
+            let _ = fs::remove_dir(folder);
+        }
         record.earlier = kept;
         record.write(&out)?;
         Ok(RunRecord { record, out, began: Instant::now(), _lock: lock })
     }
-}
-
-/// Removes old files, and what was left unfinished.
-fn clear(out: &Path, mut stale: Vec<String>, plan: &[PassRecord]) -> Result<()> {
-    // A saved scene must not outlive the files that it names.
-    stale.sort_by_key(|file| !file.ends_with(".ron"));
-    for file in &stale {
-        let path = out.join(file);
-        fs::remove_file(&path).map_err(Error::io("remove", &path))?;
-    }
-    clear_scratch(out)?;
-    let folders: BTreeSet<String> =
-        plan.iter().flat_map(folders_of).chain(stale.iter().flat_map(|file| parents(file))).collect();
-    // Those inside come before those around them.
-    for folder in folders.iter().rev().map(|folder| out.join(folder)) {
-        clear_scratch(&folder)?;
-        // Folders go if nothing is left in them.
-        let _ = fs::remove_dir(folder);
-    }
-    Ok(())
 }
 
 /// The folders that a listed path lies in, as paths below the output folder. One that ends with `/` is itself one of them.

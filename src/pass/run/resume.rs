@@ -19,7 +19,7 @@ use std::io::Write as _;
 use std::{collections::BTreeMap, fmt::Debug, fs, path::Path, path::PathBuf, sync::Arc, time::Duration};
 
 /// The folder of checkpoints, in the output folder.
-const FOLDER: &str = ".checkpoint";
+pub(super) const FOLDER: &str = ".checkpoint";
 /// The checkpoint of the beginning of a pass, and that of a part of it.
 const PASS: &str = "pass.state";
 const PART: &str = "part.state";
@@ -206,11 +206,6 @@ fn find(folder: &Path, run: u64, progress: &dyn Progress) -> Result<(u32, Option
     });
     // A part of an earlier pass is of no use any more.
     Ok((done, state, part.filter(|(pass, _)| *pass == done).map(|(_, part)| part)))
-}
-
-/// Whether the run in a folder has come so far as to keep checkpoints.
-pub(super) fn are_kept(out: &Path) -> bool {
-    out.join(FOLDER).is_dir()
 }
 
 /// Has the session's run keep checkpoints; one that is `resumed` takes up where it was. Returns how many passes are done.

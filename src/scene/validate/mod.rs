@@ -10,7 +10,7 @@ pub(crate) use passes::uses_published;
 use crate::scene::{
     Albedo, AlbedoSource, CameraSpec, Dataset, Gloss, Light, LightFrameChoice, LightSource, Material,
     NdfChoice, Pattern, Photographed, PlacementLight, PlacementSpec, Roughness, Scene, Sheen, Specular,
-    SpecularAlbedo, Surface, Tilt, VERSION, Views, Visibility, diagnostic::Problem, load::LoadOptions,
+    SpecularAlbedo, Surface, Tilt, Views, Visibility, diagnostic::Problem, load::LoadOptions,
 };
 use glam::Vec3;
 use lobelia_geometry::mesh::MAX_COORDINATE;
@@ -34,9 +34,6 @@ const MOST_CAMERAS: usize = 20_000;
 pub(super) fn check(scene: &mut Scene, base_dir: &Path, options: &LoadOptions) -> Found {
     let found = RefCell::default();
     let root = Place { path: String::new(), base_dir, options, found: &found };
-    if scene.version != VERSION {
-        root.at("version").fail(format!("version is {}", scene.version), format!("expected {VERSION}"), "");
-    }
     root.direction("up", scene.up);
     surface(&root.at("surface"), &mut scene.surface);
     let has_photographs = matches!(scene.views, Views::Dataset(_));
