@@ -77,28 +77,24 @@ pub(super) fn check(scene: &mut Scene, base_dir: &Path, options: &LoadOptions) -
 }
 
 fn surface(at: &Place, surface: &mut Surface) {
-    let texture_size = match surface {
-        Surface::Mesh { path, texture_size, .. } => {
-            at.file("path", path);
-            texture_size
-        }
-        Surface::Unknown { cells, texture_size } => {
-            at.count("cells", *cells, 16..=256);
-            texture_size
-        }
-        Surface::Sphere { center, radius, texture_size } => {
+    match surface {
+        Surface::Mesh { path, .. } => at.file("path", path),
+        Surface::Unknown { cells, .. } => at.count("cells", *cells, 16..=256),
+        Surface::Sphere { center, radius, .. } => {
             at.point("center", *center);
             at.number("radius", *radius, MIN_LENGTH..=MAX_COORDINATE);
-            texture_size
         }
-        Surface::Box { center, size, texture_size } => {
+        Surface::Box { center, size, .. } => {
             at.point("center", *center);
             let ok = size.min_element() >= MIN_LENGTH && size.max_element() <= MAX_COORDINATE;
             let expected = format!("three numbers from {MIN_LENGTH:e} to {MAX_COORDINATE:e}");
             at.require(ok, "size", *size, &expected);
-            texture_size
         }
-    };
+    }
+    let (Surface::Mesh { texture_size, .. }
+    | Surface::Unknown { texture_size, .. }
+    | Surface::Sphere { texture_size, .. }
+    | Surface::Box { texture_size, .. }) = surface;
     at.count("texture_size", *texture_size, 8..=4096);
 }
 

@@ -125,13 +125,8 @@ fn rates(at: &Place, rates: &Rates) {
 }
 
 fn shape(at: &Place, shape: &ShapePass, scene: &Scene) {
-    let gloss = |problem: &str, help: &str| {
-        Place { path: "material.gloss".to_owned(), ..at.clone() }.fail(
-            problem,
-            "expected `Auto`, `One` or `Blend(…)`",
-            help,
-        );
-    };
+    let place = Place { path: "material.gloss".to_owned(), ..at.clone() };
+    let gloss = |problem, help| place.fail(problem, "expected `Auto`, `One` or `Blend(…)`", help);
     match scene.material.gloss {
         Gloss::Fixed { .. } => gloss("known blend weights belong to a known surface", ""),
         Gloss::Texels { .. } => gloss(
