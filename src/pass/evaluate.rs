@@ -69,9 +69,8 @@ pub(crate) fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     Ok(())
 }
 
-/// Scores the pass that `pass.scores[i]` names, and writes pictures of its views with sides of at most
-/// `side` pixels. Returns its row of the contact sheet. The first one also has a report of its views,
-/// and its layers are scored.
+/// Scores the pass that `pass.scores[i]` names, and writes pictures of its views with sides of at most `side` pixels. Returns its row of
+/// the contact sheet. The first one also has a report of its views, and its layers are scored.
 fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -> Result<SheetRow> {
     let score = &pass.scores[i];
     let (scaling, layers): (_, &[Layer]) = match score.scale {
@@ -238,9 +237,8 @@ fn layer_pixels(
     Ok(LayerPixels { counts: vec![true; prediction.len()], truth: counted(&truth), prediction })
 }
 
-/// Writes small pictures of all views: ground truth, prediction as it is scored, error. Returns a row of a
-/// few views for the contact sheet (prediction, ground truth, error) and the share of outliers of each
-/// view, of the prediction as it is scored.
+/// Writes small pictures of all views: ground truth, prediction as it is scored, error. Returns a row of a few views for the contact sheet
+/// (prediction, ground truth, error) and the share of outliers of each view, of the prediction as it is scored.
 fn show_views(
     session: &Session,
     scored: &ScoredPass,
@@ -373,8 +371,7 @@ pub(crate) fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result
     read_covered(path, gamma, camera).map(|(pixels, _)| pixels)
 }
 
-/// Returns the pixels of [`read_fitting`], weighted by coverage, and the coverage if the image has
-/// alpha.
+/// Returns the pixels of [`read_fitting`], weighted by coverage, and the coverage if the image has alpha.
 pub fn read_covered(path: &Path, gamma: Gamma, camera: &Camera) -> Result<(Vec<Vec3>, Option<Vec<f32>>)> {
     let loaded = read_image(path, gamma, Orientation::Upright)?;
     let (width, height) = (loaded.image.width, loaded.image.height);
@@ -466,8 +463,7 @@ mod tests {
         assert!(read(Layer::Albedo).unwrap_err().to_string().contains("albedo_3.exr"));
         write_rgb8(folder.path().join("r_3_normal.png"), &RgbImage::new(2, 2)).unwrap();
         assert_eq!(read(Layer::Normal).unwrap(), [Vec3::ZERO; 4]);
-        let values =
-            [("R", -1.0), ("G", 0.0), ("B", 0.0)].map(|(name, value)| (name.to_owned(), vec![value; 4]));
+        let values = [("R", -1.0), ("G", 0.0), ("B", 0.0)].map(|(name, x)| (name.to_owned(), vec![x; 4]));
         let layers = ExrLayers { width: 2, height: 2, channels: values.into_iter().collect() };
         write_channels(folder.path().join("normal_3.exr"), &layers).unwrap();
         assert_eq!(read(Layer::Normal).unwrap(), [Vec3::NEG_X; 4]);
@@ -496,12 +492,8 @@ mod tests {
         std::fs::create_dir(at.join("test_003")).unwrap();
         let normal = Vec3::new(-2.0, 3.0, 6.0) / 7.0;
         let code = |n: f32| (127.5 * (n + 1.0)).round() as u8;
-        let rgb =
-            RgbImage::from_fn(
-                2,
-                2,
-                |x, _| if x == 0 { Rgb(normal.to_array().map(code)) } else { Rgb([128; 3]) },
-            );
+        let pixel = |x| if x == 0 { Rgb(normal.to_array().map(code)) } else { Rgb([128; 3]) };
+        let rgb = RgbImage::from_fn(2, 2, |x, _| pixel(x));
         write_rgb8(at.join("test_003/normal.png"), &rgb).unwrap();
         write_rgb8(at.join("test_003/albedo.png"), &RgbImage::from_pixel(2, 2, Rgb([51, 102, 255]))).unwrap();
         let files = |file| TruthFiles { folder: &at, file: Some(file) };

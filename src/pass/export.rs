@@ -1,5 +1,4 @@
-//! The `Export` pass: the object as a mesh for other programs, with fewer triangles if asked, and the light
-//! beside it as environment maps.
+//! The `Export` pass: the object as a mesh for other programs, with fewer triangles if asked, and the light beside it as environment maps.
 
 use crate::scene::{ExportPass, ExportScale, ExportUp, Light, MeshFormat, Pass};
 use crate::{pass::run::session::Session, pass::show::material_of, report::tone::srgb8};
@@ -134,9 +133,8 @@ fn usd(object: &Object) -> Result<UsdMaterial> {
     })
 }
 
-/// The mesh in which a point p of data in which `data_up` is up is at `scale` · (`turn` p − `origin`); the turn,
-/// which is that of the light as well; and the axis that is up then, or the nearest of the two that files
-/// can name.
+/// The mesh in which a point p of data in which `data_up` is up is at `scale` · (`turn` p − `origin`); the turn, which is that of the light
+/// as well; and the axis that is up then, or the nearest of the two that files can name.
 fn transformed(data_up: Vec3, pass: &ExportPass, mesh: &Mesh) -> (Mesh, Quat, UpAxis) {
     let data_up = data_up.normalize_or(Vec3::Y);
     let (turn, up) = match pass.up {
@@ -452,8 +450,7 @@ mod tests {
     }
 
     fn lobes() -> Vec<LightLobe> {
-        let lobe =
-            |axis: Vec3, sharpness, amplitude| LightLobe { axis: axis.normalize(), sharpness, amplitude };
+        let lobe = |at: Vec3, sharpness, amplitude| LightLobe { axis: at.normalize(), sharpness, amplitude };
         vec![
             lobe(Vec3::new(0.2, 0.9, -0.3), 0.5, Vec3::new(0.3, 0.4, 0.6)),
             lobe(Vec3::new(1.0, 0.2, 0.1), 30.0, Vec3::new(9.0, 4.0, 1.0)),
@@ -484,10 +481,8 @@ mod tests {
                 let found = read.bilinear_at(u.rem_euclid(1.0), v);
                 let true_radiance = lobes_radiance(&lobes(), turn.inverse() * d);
                 let error = (found - true_radiance).abs().max_element();
-                assert!(
-                    error < 0.02 * (1.0 + true_radiance.max_element()),
-                    "{name} {d}: {found} {true_radiance}"
-                );
+                let most = 0.02 * (1.0 + true_radiance.max_element());
+                assert!(error < most, "{name} {d}: {found} {true_radiance}");
             }
             let lobelia = convention.to_lobelia(read);
             let way = turn * lobes()[1].axis;

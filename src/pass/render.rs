@@ -336,14 +336,8 @@ fn factors(sweep: &MaterialSweep, time: Time) -> Vec<(EditTarget, EditAction)> {
 mod tests {
     use super::*;
 
-    fn key(at: f32, elevation: Option<f32>, angle: Option<f32>) -> OrbitKey {
-        OrbitKey {
-            at,
-            elevation_degrees: elevation,
-            angle_degrees: angle,
-            easing: Easing::Linear,
-            ..OrbitKey::default()
-        }
+    fn key(at: f32, elevation_degrees: Option<f32>, angle_degrees: Option<f32>) -> OrbitKey {
+        OrbitKey { at, elevation_degrees, angle_degrees, easing: Easing::Linear, ..OrbitKey::default() }
     }
 
     #[test]

@@ -198,8 +198,7 @@ fn tell_of_hull(progress: &dyn Progress, name: &str, told: &mut HullReport, now:
     }
 }
 
-/// Does a part of the work on what was found, with a bar of so many rounds until the run is stopped. Also
-/// returns its seconds.
+/// Does a part of the work on what was found, with a bar of so many rounds until the run is stopped. Also returns its seconds.
 fn refined<T>(
     session: &mut Session,
     name: &str,
@@ -220,8 +219,7 @@ fn refined<T>(
     (done, start.elapsed().as_secs_f64())
 }
 
-/// Moves the mesh to where neighboring photographs agree; says what came of it and returns whether
-/// vertices then stay there.
+/// Moves the mesh to where neighboring photographs agree; says what came of it and returns whether vertices then stay there.
 fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
     let (report, seconds) = refined(session, name, "stereo", stereo_rounds(), |world, round| {
         refine_by_stereo(world, mesh, round)
@@ -240,8 +238,7 @@ fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
     holds
 }
 
-/// Gives the vertices the normals that explain what they mirror, if that is worth it; says what came of it
-/// and returns whether it was.
+/// Gives the vertices the normals that explain what they mirror, if that is worth it; says what came of it and returns whether it was.
 fn match_reflections(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
     let (report, seconds) = refined(session, name, "normals", mirror_rounds(), |world, round| {
         refine_by_mirror(world, mesh, round)

@@ -56,8 +56,7 @@ pub(super) fn warn(session: &mut Session, warning: String) {
     }
 }
 
-/// The views with photographs that are wanted, in the order of their numbers, with their masks beside the
-/// surface.
+/// The views with photographs that are wanted, in the order of their numbers, with their masks beside the surface.
 fn silhouettes(
     session: &mut Session,
     wanted: impl Fn(Entity, Split) -> bool,

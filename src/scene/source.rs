@@ -226,8 +226,7 @@ Scene(
         Save(), Save(),
     ],
 )"#;
-        let found: Vec<String> =
-            fields(text).iter().map(|(path, value)| format!("{path} = {value}")).collect();
+        let found: Vec<_> = fields(text).iter().map(|(path, value)| format!("{path} = {value}")).collect();
         let expected = [
             "version = 1",
             "surface = Sphere",
@@ -245,10 +244,6 @@ Scene(
             "passes.3 = Save",
         ];
         assert_eq!(found, expected);
-    }
-
-    #[test]
-    fn what_is_not_ron_has_no_values() {
         assert!(fields("Scene(").is_empty() && fields("").is_empty());
     }
 }

@@ -310,13 +310,10 @@ mod tests {
         let path = folder.path().join("light.ron");
         let text = "Lobes(lobes: [(axis: (0, 0, 1), sharpness: 9, amplitude: (1, 2, 3))], scale: 2, rotation_degrees: (30, 40, 50))";
         std::fs::write(&path, text).unwrap();
-        let source = LightSource::Ron {
-            path: path.clone(),
-            scale: 3.0,
-            rotation_degrees: Vec3::new(-20.0, 70.0, 10.0),
-        };
+        let rotation_degrees = Vec3::new(-20.0, 70.0, 10.0);
+        let source = LightSource::Ron { path: path.clone(), scale: 3.0, rotation_degrees };
         let loaded = load_light(&source).unwrap().lobes[0];
-        let axis = rotation(Vec3::new(-20.0, 70.0, 10.0)) * (rotation(Vec3::new(30.0, 40.0, 50.0)) * Vec3::Z);
+        let axis = rotation(rotation_degrees) * (rotation(Vec3::new(30.0, 40.0, 50.0)) * Vec3::Z);
         assert!(loaded.axis.distance(axis) < 1e-5, "{} {axis}", loaded.axis);
         assert!(loaded.amplitude.distance(Vec3::new(6.0, 12.0, 18.0)) < 1e-5);
         let bright = LightSource::Ron { path: path.clone(), scale: 1e30, rotation_degrees: Vec3::ZERO };

@@ -262,9 +262,8 @@ fn materials_ron(materials: &[(usize, SpecularLobe)], scale: &ScaleFound) -> Str
     text
 }
 
-/// Writes `cam_dict_norm.json` (PhySG's layout, training views; in the convention of the input, for images of
-/// the fitted size) if cameras moved, and `exposures.csv` if photographs have exposures of their own,
-/// to the folder of a pass, and prints how far cameras moved.
+/// Writes `cam_dict_norm.json` (PhySG's layout, training views; in the convention of the input, for images of the fitted size) if cameras
+/// moved, and `exposures.csv` if photographs have exposures of their own, to the folder of a pass, and prints how far cameras moved.
 pub(crate) fn write_views(session: &mut Session, name: &str, cameras: CameraUnknowns) -> Result<()> {
     let folder = session.out.join(name);
     if cameras != CameraUnknowns::Given {

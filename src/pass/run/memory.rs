@@ -1,5 +1,4 @@
-//! The memory that a run may take: known before it begins, and kept by smaller pools or refused; and the
-//! machine that it works on.
+//! The memory that a run may take: known before it begins, and kept by smaller pools or refused; and the machine that it works on.
 
 use crate::survey::{counted, estimate::estimate, estimate::memory, look::ViewLook};
 use crate::{pass::run::progress::Progress, scene::Pass, scene::Scene};
@@ -39,8 +38,7 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
     is_usual.then_some(bytes as u64).ok_or_else(|| "give an amount such as 8GiB or 500MiB".to_owned())
 }
 
-/// The scene as it keeps to `bytes` of memory with these views: the same if it does, else with smaller pools,
-/// which a note tells.
+/// The scene as it keeps to `bytes` of memory with these views: the same if it does, else with smaller pools, which a note tells.
 ///
 /// # Errors
 /// [`Error::Usage`] with the memory that would do, if the smallest pools take too much.
@@ -100,9 +98,8 @@ fn with_pools(scene: &Scene, most: u32) -> Scene {
     scene
 }
 
-/// The memory that this machine lets a process have, in bytes: what is built in, less what its control
-/// groups and its own address space are limited to. Only Linux says it, in text files; `None` if the
-/// memory of the machine is unknown.
+/// The memory that this machine lets a process have, in bytes: what is built in, less what its control groups and its own address space are
+/// limited to. Only Linux says it, in text files; `None` if the memory of the machine is unknown.
 fn machine_memory() -> Option<u64> {
     let groups = ["/sys/fs/cgroup", "/sys/fs/cgroup/memory"].map(Path::new);
     least_limit(Path::new("/proc"), groups)

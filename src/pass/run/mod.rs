@@ -70,11 +70,9 @@ pub struct RunOptions {
 /// before anything is read, and `OUT/run.json` says how far the run is.
 ///
 /// # Errors
-/// The first error of a pass; passes that do not need it are run all the same, and the scores
-/// written. [`Error::Interrupted`] if the run is stopped, once what it found is written.
-/// [`Error::Usage`] if a file that would be written is an input, or is of something else than an
-/// earlier run, if another run writes into the output folder, or if a run is to go on with
-/// something else than it was begun with.
+/// The first error of a pass; passes that do not need it are run all the same, and the scores written. [`Error::Interrupted`] if the run is
+/// stopped, once what it found is written. [`Error::Usage`] if a file that would be written is an input, or is of something else than an
+/// earlier run, if another run writes into the output folder, or if a run is to go on with something else than it was begun with.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
     let told = RecordedMessages::new(progress);
     let progress: &dyn Progress = &told;
@@ -174,9 +172,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     ended.and(session.report.write(out)).and(cleared)
 }
 
-/// Runs all passes after the first `done`, but those that need one that failed; scores and report are
-/// written after each. Once the run is asked to stop, only what was found until then is written:
-/// scored, saved and exported.
+/// Runs all passes after the first `done`, but those that need one that failed; scores and report are written after each. Once the run is
+/// asked to stop, only what was found until then is written: scored, saved and exported.
 fn run_passes(
     session: &mut Session,
     record: &mut RunRecord,
@@ -278,10 +275,9 @@ fn run_pass(session: &mut Session, pass: &Pass) -> Result<()> {
     }
 }
 
-/// Writes the page of a scene in which everything is known, as `Save` writes it, to `path`; no pass of
-/// the scene is run, and nothing else is written. The page offers these lights besides the scene's
-/// own, by name, and has the photographs of `pass` if the data set can be read; if not, a note says
-/// why.
+/// Writes the page of a scene in which everything is known, as `Save` writes it, to `path`; no pass of the scene is run, and nothing else
+/// is written. The page offers these lights besides the scene's own, by name, and has the photographs of `pass` if the data set can be
+/// read; if not, a note says why.
 ///
 /// # Errors
 /// [`Error::Usage`] if something is unknown; those of [`run`] before its first pass; those of the page.
@@ -318,9 +314,8 @@ pub fn write_view(
     view::write_page(&mut session, pass, named, path)
 }
 
-/// Does the work of [`run`] before the first pass of a scene, without any photograph: the files
-/// that the scene names are read and checked, no pass is run, no hull of an unknown surface is
-/// made, and nothing is written. `views` are those of a data set
+/// Does the work of [`run`] before the first pass of a scene, without any photograph: the files that the scene names are read and checked,
+/// no pass is run, no hull of an unknown surface is made, and nothing is written. `views` are those of a data set
 /// ([`survey`](crate::survey::open::survey)), if the scene has one.
 ///
 /// # Errors
@@ -332,9 +327,8 @@ pub fn rehearse(scene: &Scene, mut views: Vec<ViewRecord>, progress: &dyn Progre
     Session::open(scene, views, &RunOptions::default(), progress, SurfaceUse::Checks, false).map(drop)
 }
 
-/// Reads the views that do not depend on the object; rendered photographs come later. Those of a data
-/// set that passes learn from or are scored against are surveyed: a warning is a note, the first
-/// error ends the run.
+/// Reads the views that do not depend on the object; rendered photographs come later. Those of a data set that passes learn from or are
+/// scored against are surveyed: a warning is a note, the first error ends the run.
 ///
 /// # Errors
 /// [`Error::Usage`] for the first thing that cannot work; those of reading photographs and masks.

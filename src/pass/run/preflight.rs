@@ -1,6 +1,5 @@
-//! The files of a run, known before it begins, and the checks before its first pass: a wrong name or a
-//! missing ground truth is an error at the start, not after a long fit. `lobelia check` makes the
-//! same checks.
+//! The files of a run, known before it begins, and the checks before its first pass: a wrong name or a missing ground truth is an error at
+//! the start, not after a long fit. `lobelia check` makes the same checks.
 
 use crate::{
     pass::evaluate::PARTS, pass::evaluate::read_fitting, pass::export, pass::fit::TRUE_ENVIRONMENT,
@@ -95,8 +94,7 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
     scene.passes.iter().map(of_pass).collect()
 }
 
-/// The files of a saved scene. A map is copied, with its own extension; one that cannot be read is told of
-/// where it is loaded.
+/// The files of a saved scene. A map is copied, with its own extension; one that cannot be read is told of where it is loaded.
 fn of_save(scene: &Scene) -> BTreeSet<String> {
     let name = |stem: &str, source: &LightSource| {
         let given = match source {
@@ -176,8 +174,7 @@ pub(super) fn contents(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<Pa
 /// Size of a file and the time of its last change, where the system says it; `None` if it is not there.
 type Stamp = Option<(u64, Option<SystemTime>)>;
 
-/// Files as they were when the run began, watched: one that changes or goes while the run is at work is
-/// told of.
+/// Files as they were when the run began, watched: one that changes or goes while the run is at work is told of.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Watched(Vec<(PathBuf, Stamp)>);
 
@@ -337,25 +334,4 @@ fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
         }
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_file_that_changes_or_goes_is_told_of() {
-        let folder = tempfile::tempdir().unwrap();
-        let files = ["photo.png", "truth.png"].map(|name| folder.path().join(name));
-        files.iter().for_each(|file| fs::write(file, "old").unwrap());
-        let watched = Watched::new(files.iter().cloned());
-        watched.check().unwrap();
-        fs::write(&files[1], "newer").unwrap();
-        let error = watched.check().unwrap_err();
-        assert!(error.to_string().contains("truth.png: the file has changed"), "{error}");
-        assert_eq!(error.exit_code(), 2);
-        watched.clone().without([files[1].clone()].into_iter()).check().unwrap();
-        fs::remove_file(&files[0]).unwrap();
-        assert!(watched.check().unwrap_err().to_string().contains("photo.png: the file has gone"));
-    }
 }

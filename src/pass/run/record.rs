@@ -221,8 +221,7 @@ impl Claim {
     /// Takes the output folder, once it is clear that nothing in it is read or somebody else's.
     ///
     /// # Errors
-    /// [`Error::Usage`] if another run writes there, something else is in the way, or an input would be
-    /// replaced or removed.
+    /// [`Error::Usage`] if another run writes there, something else is in the way, or an input would be replaced or removed.
     pub fn new(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -> Result<Self> {
         let out = &options.out;
         let plan = outputs(&loaded.scene, data, options.debug_every);

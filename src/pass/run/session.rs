@@ -27,8 +27,7 @@ const MOST_VISIBILITY_BYTES: usize = 4 << 30;
 /// What passes leave to later ones beside the world; checkpoints keep it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct PassState {
-    /// Unknowns that the next fit initializes from the data: those without an initial value, until
-    /// there has been a fit.
+    /// Unknowns that the next fit initializes from the data: those without an initial value, until there has been a fit.
     pub initialize: Initialize,
     /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found something.
     pub has_object: bool,
@@ -65,8 +64,7 @@ pub(crate) struct Session<'a> {
     /// The object that took its own photographs, if there is one.
     pub truth: Option<TrueObject>,
     pub out: PathBuf,
-    /// The scene's own light, if it is not unknown. All lights are read before anything is fitted, so that
-    /// a bad file is found at once.
+    /// The scene's own light, if it is not unknown. All lights are read before anything is fitted, so that a bad file is found at once.
     pub own_light: Option<LoadedLight>,
     /// Lights of passes, by the pass's name.
     pub pass_lights: BTreeMap<String, LoadedLight>,
@@ -81,9 +79,8 @@ pub(crate) struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    /// Puts the scene and its views into a world, reads its other inputs, and checks all passes. Nothing is
-    /// written yet. Photographs that the scene makes of its own object have pixels if they are to be
-    /// `rendered`; checks look at none.
+    /// Puts the scene and its views into a world, reads its other inputs, and checks all passes. Nothing is written yet. Photographs that
+    /// the scene makes of its own object have pixels if they are to be `rendered`; checks look at none.
     pub fn open(
         scene: &'a Scene,
         mut views: Vec<ViewRecord>,

@@ -1,6 +1,5 @@
-//! `OUT/report.html`: what is in the folder of a run, as one page, and runs in a table. Both are made of
-//! the run's files alone, so that the report of a run that goes on, of one that ended, and of several
-//! side by side are made in the same way.
+//! `OUT/report.html`: what is in the folder of a run, as one page, and runs in a table. Both are made of the run's files alone, so that the
+//! report of a run that goes on, of one that ended, and of several side by side are made in the same way.
 
 use crate::pass::fit::{TRUE_ENVIRONMENT, light_files, steps::COLUMNS, steps::LOG_EVERY, steps::log_line};
 use crate::pass::run::record::{PassRecord, Record, RunState};
@@ -70,8 +69,7 @@ impl Reporter {
         Self { live: live.then(begin), ..Self::default() }
     }
 
-    /// Takes in a step of a fit or shape, and now and then writes a page with its curves and worst views,
-    /// if the run is watched.
+    /// Takes in a step of a fit or shape, and now and then writes a page with its curves and worst views, if the run is watched.
     pub fn step(&mut self, out: &Path, pass: &str, step: u32, at: &FitProgress, world: &mut World) {
         let Some(Live { pass: of, log, written }) = &mut self.live else { return };
         if of != pass {
@@ -163,8 +161,7 @@ fn read_scores(out: &Path) -> Result<Scores> {
     })
 }
 
-/// Gathers all that there is of a run. Unreadable files are left out: a run may have been stopped
-/// anywhere, and its files moved.
+/// Gathers all that there is of a run. Unreadable files are left out: a run may have been stopped anywhere, and its files moved.
 fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) -> RunReport {
     pictures.left = BUDGET;
     let is_fit = |pass: &&PassRecord| pass.files.contains(&format!("{}/log.csv", pass.name));
@@ -211,8 +208,7 @@ fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) 
     }
 }
 
-/// The columns of a log; `None` if there are none. A fit that begins again repeats its steps: the last
-/// count.
+/// The columns of a log; `None` if there are none. A fit that begins again repeats its steps: the last count.
 fn parse_log(pass: &str, text: &str) -> Option<FitLog> {
     let mut lines = text.lines();
     let mut columns: Vec<(_, Vec<f64>)> = lines.next()?.split(',').map(|n| (n.to_owned(), vec![])).collect();
@@ -480,10 +476,8 @@ mod tests {
             srgb: None,
             stanford_orb: None,
         };
-        let novel = PassScores {
-            views: vec![view("a", 30.0), view("c", 20.0), view("gone", 10.0)],
-            ..PassScores::default()
-        };
+        let views = vec![view("a", 30.0), view("c", 20.0), view("gone", 10.0)];
+        let novel = PassScores { views, ..PassScores::default() };
         let scores = Scores { passes: IndexMap::from([("novel".to_owned(), novel)]), ..Scores::default() };
         scores.write_json(out.path().join(METRICS)).unwrap();
         out
@@ -496,15 +490,12 @@ mod tests {
         assert_eq!((report.state.as_str(), report.passes.len()), ("interrupted", 4));
         assert_eq!(report.fields[1], ("seed".to_owned(), "4".to_owned()));
         assert!(report.facts.contains(&("seed".to_owned(), "4".to_owned())));
-        let names =
-            |i: usize| -> Vec<&str> { report.views[i].views.iter().map(|view| view.name.as_str()).collect() };
-        assert_eq!(
-            (report.views[0].pass.as_str(), names(0), report.views[0].left_out),
-            ("novel", vec!["c", "a"], 1)
-        );
-        assert!(report.views[0].views.iter().all(|view| view.truth.is_some() && view.error.is_some()));
-        assert_eq!((report.views[1].pass.as_str(), names(1)), ("turned", vec!["b"]));
-        assert!(report.views[1].views[0].render.is_some() && report.views[1].views[0].truth.is_none());
+        let names = |of: &PassViews| of.views.iter().map(|view| view.name.clone()).collect::<Vec<_>>();
+        let [novel, turned] = &report.views[..] else { panic!("{} passes", report.views.len()) };
+        assert_eq!((novel.pass.as_str(), names(novel).concat(), novel.left_out), ("novel", "ca".into(), 1));
+        assert!(novel.views.iter().all(|view| view.truth.is_some() && view.error.is_some()));
+        assert_eq!((turned.pass.as_str(), names(turned).concat()), ("turned", "b".into()));
+        assert!(turned.views[0].render.is_some() && turned.views[0].truth.is_none());
         let loss = report.logs[0].column("loss").unwrap();
         assert!(loss[0] == 0.5 && loss[1].is_nan());
         assert!(report.logs[0].column("psnr").is_none());
