@@ -2,7 +2,8 @@
 //! photographs and other pictures of encoded colors also as the field's tables do, in sRGB.
 //!
 //! The pass writes a contact sheet of a few views, and for the report small pictures of all views: `<scored pass>/<view>_truth.jpg`, `_render.jpg` and
-//! `_error.jpg`. Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files.
+//! `_error.jpg`. Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files; files of ground truth
+//! are named and read as the second half says.
 
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::{run::session::Session, view_report, view_report::outlier_share};
@@ -372,7 +373,7 @@ pub(crate) fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result
 }
 
 /// Returns the pixels of [`read_fitting`], weighted by coverage, and the coverage if the image has alpha.
-pub fn read_covered(path: &Path, gamma: Gamma, camera: &Camera) -> Result<(Vec<Vec3>, Option<Vec<f32>>)> {
+fn read_covered(path: &Path, gamma: Gamma, camera: &Camera) -> Result<(Vec<Vec3>, Option<Vec<f32>>)> {
     let loaded = read_image(path, gamma, Orientation::Upright)?;
     let (width, height) = (loaded.image.width, loaded.image.height);
     let alpha = loaded.alpha.map(|alpha| {
@@ -435,8 +436,7 @@ mod tests {
     #[test]
     fn a_known_angle_is_scored() {
         // Turned by 10° about z, everywhere but in one unknown pixel.
-        let angle =
-            |degrees: f32| Vec3::new(degrees.to_radians().cos(), degrees.to_radians().sin(), 1.0).normalize();
+        let angle = |degrees: f32| glam::Vec2::from_angle(degrees.to_radians()).extend(1.0).normalize();
         let truth = read(2, |x, y| if x + y == 0 { Vec3::X } else { angle(40.0) });
         let expected = angle(40.0).angle_between(angle(50.0)).to_degrees();
         let mut angles = NormalAngles::default();

@@ -414,15 +414,11 @@ mod tests {
     use lobelia_world::light::{lobes_power, lobes_radiance};
     use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt};
 
-    fn pass() -> ExportPass {
-        ExportPass::default()
-    }
-
     #[test]
     fn the_data_stay_as_they_are_unless_something_is_said() {
         let mesh = box_mesh(Vec3::new(3.0, 4.0, 5.0), Vec3::new(1.0, 2.0, 4.0)).unwrap();
         for (up, axis) in [(Vec3::Y, UpAxis::Y), (Vec3::Z, UpAxis::Z), (-Vec3::Z, UpAxis::Z)] {
-            let (placed, _, up) = transformed(up, &pass(), &mesh);
+            let (placed, _, up) = transformed(up, &ExportPass::default(), &mesh);
             assert_eq!((placed, up), (mesh.clone(), axis));
         }
     }
@@ -430,7 +426,12 @@ mod tests {
     #[test]
     fn up_center_and_size_are_as_asked() {
         let mesh = box_mesh(Vec3::new(3.0, 4.0, 5.0), Vec3::new(1.0, 2.0, 4.0)).unwrap();
-        let asked = ExportPass { up: ExportUp::Y, center: true, scale: ExportScale::Size(2.0), ..pass() };
+        let asked = ExportPass {
+            up: ExportUp::Y,
+            center: true,
+            scale: ExportScale::Size(2.0),
+            ..ExportPass::default()
+        };
         let (placed, ..) = transformed(Vec3::Z * 3.0, &asked, &mesh);
         let (low, high) = placed.bounds().unwrap();
         // What was up, 4 long, is y now and 2 long; x keeps its direction.
@@ -444,7 +445,8 @@ mod tests {
             let normal = placed.normals[placed.triangles[triangle][0] as usize];
             assert!((b - a).cross(c - a).dot(normal) > 0.0);
         }
-        let factor = ExportPass { up: ExportUp::Z, scale: ExportScale::Factor(10.0), ..pass() };
+        let factor =
+            ExportPass { up: ExportUp::Z, scale: ExportScale::Factor(10.0), ..ExportPass::default() };
         let (low, high) = transformed(-Vec3::Y, &factor, &mesh).0.bounds().unwrap();
         assert!((low.z + 50.0).abs() < 1e-3 && (high.z + 30.0).abs() < 1e-3, "{low} {high}");
     }

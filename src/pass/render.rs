@@ -303,7 +303,8 @@ fn between_keys(keys: &[OrbitKey], pick: impl Fn(&OrbitKey) -> Option<f32>, time
 #[derive(Component)]
 struct Swept;
 
-/// Replaces the swept edits by `factors`, of which none ends the sweep, after all other edits of the pass; each has its own target, so that they need no order.
+/// Replaces the swept edits by `factors`, after all other edits of the pass; without any the sweep ends. Each has its own target, so that they
+/// need no order.
 fn sweep_material(world: &mut World, pass: &str, factors: Vec<(EditTarget, EditAction)>) {
     let mut query = world.query_filtered::<Entity, With<Swept>>();
     let old: Vec<Entity> = query.iter(world).collect();

@@ -217,8 +217,7 @@ mod tests {
         let good = || ["a", "b", "c"].iter().map(|name| view(name, 0.95, 0.02)).collect::<Vec<_>>();
         let lobes = |amplitude| [lobe(0.1), lobe(amplitude)];
         assert!(warnings(&good(), &lobes(3.0)).is_empty() && warnings(&[], &[]).is_empty());
-        let with =
-            |bad: (ViewOutcome, ViewSum)| warnings(&[good(), vec![bad]].concat(), &lobes(3.0)).join("\n");
+        let with = |bad| warnings(&[good(), vec![bad]].concat(), &lobes(3.0)).join("\n");
         let (outcome, sum) = view("d", 0.95, 0.02);
         assert!(with((outcome, ViewSum { pool: 0, ..sum })).contains("no pixel of view `d` was used"));
         let stray = with(view("d", 0.3, 0.02));

@@ -1,16 +1,18 @@
 //! The files of a run, known before it begins, and the checks before its first pass: a wrong name or a missing ground truth is an error at
 //! the start, not after a long fit. `lobelia check` makes the same checks.
 
-use crate::{
-    pass::evaluate::PARTS, pass::evaluate::read_fitting, pass::export, pass::fit::TRUE_ENVIRONMENT,
-    pass::fit::light_files, pass::photograph::ring, pass::render::FILM_FILES, pass::render::chosen_stems,
-    pass::render::chosen_views, pass::run::record::PassRecord, pass::run::session::Session,
-    pass::show::apply_edits, pass::show::edits_of_nothing, pass::view::PAGE, pass::view_report::VIEWS,
-    scene::EvaluatePass, scene::Gloss, scene::LayerTruth, scene::LightSource, scene::Pass,
-    scene::PlacementLight, scene::RenderSettings, scene::Scene, scene::Truth, scene::ViewChoice,
-    scene::Views, scene::load::LoadedScene, spawn::light::files_of, spawn::light::inlined,
-    survey::open::OpenScene,
+use crate::pass::{
+    evaluate::PARTS, evaluate::read_fitting, export, fit::TRUE_ENVIRONMENT, fit::light_files,
+    photograph::ring, render::FILM_FILES, render::chosen_stems, render::chosen_views,
+    run::record::PassRecord, run::session::Session, show::apply_edits, show::edits_of_nothing, view::PAGE,
+    view_report::VIEWS,
 };
+use crate::scene::{
+    EvaluatePass, Gloss, LayerTruth, LightSource, Pass, PlacementLight, RenderSettings, Scene, Truth,
+    ViewChoice, Views, load::LoadedScene,
+};
+use crate::spawn::light::{files_of, inlined};
+use crate::survey::open::OpenScene;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use lobelia_geometry::view::{Frame, Photograph, Split, ViewName, ViewRecord};
@@ -44,6 +46,7 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
     };
     let views: Vec<(&str, Split)> = views.iter().map(|(name, split)| (name.as_str(), *split)).collect();
     let stems = |settings: &RenderSettings| chosen_stems(&views, settings).into_iter().map(|(_, stem)| stem);
+    let both = |stem: &str| [format!("{stem}.exr"), format!("{stem}.png")];
     let of_views = |cameras: CameraUnknowns, exposure: ExposureChoice| {
         let cameras = (cameras != CameraUnknowns::Given).then_some("cam_dict_norm.json");
         let exposures = (exposure != ExposureChoice::Equal).then_some("exposures.csv");
@@ -53,8 +56,7 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
         let mut names = Vec::new();
         match pass {
             Pass::Fit(fit) => {
-                let textures = ["albedo", "albedo_along", "blend", "roughness"];
-                names.extend(textures.iter().flat_map(|stem| [format!("{stem}.png"), format!("{stem}.exr")]));
+                names.extend(["albedo", "albedo_along", "blend", "roughness"].into_iter().flat_map(both));
                 names.extend(["seen.png", "materials.ron", "log.csv"].map(str::to_owned));
                 if matches!(scene.views, Views::Photographed(_)) {
                     names.push(TRUE_ENVIRONMENT.to_owned());
@@ -68,9 +70,7 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
                 names.extend(debug_every.map(|_| "debug/".to_owned()));
             }
             Pass::Render(of) | Pass::Edit(of) | Pass::Relight(of) => {
-                names.extend(
-                    stems(&of.render).flat_map(|stem| [format!("{stem}.exr"), format!("{stem}.png")]),
-                );
+                names.extend(stems(&of.render).flat_map(|stem| both(&stem)));
                 names.extend(of.render.orbit.iter().flat_map(|_| FILM_FILES.map(str::to_owned)));
             }
             Pass::Evaluate(pass) => {

@@ -34,12 +34,8 @@ fn scene(folder: &Path) -> LoadedScene {
 }
 
 fn options(out: &Path, resume: bool) -> RunOptions {
-    RunOptions {
-        out: out.to_owned(),
-        checkpoint_every: Some(Duration::ZERO),
-        resume,
-        ..RunOptions::default()
-    }
+    let (out, checkpoint_every) = (out.to_owned(), Some(Duration::ZERO));
+    RunOptions { out, checkpoint_every, resume, ..RunOptions::default() }
 }
 
 /// Results whose bytes do not depend on the time.
