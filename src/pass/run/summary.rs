@@ -508,15 +508,13 @@ mod tests {
         fs::create_dir(out.path().join("fit")).unwrap();
         fs::write(&path, "// words\n[\n    (albedo: (0.3, 0.2, 0.1), roughness: 0.25, ndf: Sg),\n]\n")
             .unwrap();
-        let scale =
-            ScaleFound { rule: "WhiteLight".into(), mean_light: [2.0, 1.0, 0.0], mean_albedo: [0.1; 3] };
-        let found = findings(out.path(), &["fit"], &Scores { scale: Some(scale), ..Scores::default() });
+        let of = ScaleFound { rule: "WhiteLight".into(), mean_light: [2.0, 1.0, 0.0], mean_albedo: [0.1; 3] };
+        let found = findings(out.path(), &["fit"], &Scores { scale: Some(of), ..Scores::default() });
         let lines: Vec<String> = found.iter().map(|f| format!("{} = {}", f.what, f.value)).collect();
         assert!(lines[0].contains("albedo = WhiteLight — photographs"), "{lines:?}");
         assert_eq!(lines[1], "mean light = 2.000, 1.000, 0.000");
-        let albedo =
-            "fit: specular albedo 1 = 0.300, 0.200, 0.100; roughness 0.250, distribution of normals Sg";
-        assert_eq!(lines[3], albedo);
+        let fit = "fit: specular albedo 1 = 0.300, 0.200, 0.100; roughness 0.250, distribution of normals Sg";
+        assert_eq!(lines[3], fit);
         assert_eq!(found[1].color, Some([255, 188, 0]));
         fs::write(&path, "nothing, of, use").unwrap();
         assert!(findings(out.path(), &["fit", "none"], &Scores::default()).is_empty());
