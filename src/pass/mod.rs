@@ -23,7 +23,6 @@ mod run;
 pub mod save;
 pub(crate) mod shape;
 pub(crate) mod show;
-mod truth_files;
 pub mod view;
 mod view_report;
 

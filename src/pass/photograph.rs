@@ -1,25 +1,18 @@
 //! Rendered photographs: the scene's surface with a known material under a known light, path traced. The fit does not use that knowledge.
 
-use crate::pass::run::progress::Progress;
 use crate::pass::show::{apply_edits, set_shading, spawn_edits};
 use crate::scene::{CameraRing, CameraSpec, Edit, Pattern, Photographed, RenderSettings, Scene, Shading};
-use crate::spawn::{LoadedLight, light::rotation, load_light};
+use crate::{pass::run::progress::Progress, spawn::LoadedLight, spawn::light::rotation, spawn::load_light};
 use glam::{Mat3, Vec3};
-use lobelia_geometry::error::{Result, stop::check_interrupted};
-use lobelia_geometry::mesh::Surface;
-use lobelia_geometry::view::{
-    Frame, Image, Mask, Photograph, Placement, Split, StoredMask, ViewRecord, camera::Camera,
-};
-use lobelia_sg::fibonacci::fibonacci_axes;
-use lobelia_sg::ray::Intersect;
+use lobelia_geometry::view::{Frame, Image, Mask, Photograph, Placement, Split, StoredMask, ViewRecord};
+use lobelia_geometry::{error::Result, error::stop::check_interrupted, mesh::Surface, view::camera::Camera};
+use lobelia_sg::{fibonacci::fibonacci_axes, ray::Intersect};
 use lobelia_solve::shade::frame::{FramePlugin, render_frame, resolve};
 use lobelia_world::light::lights::{LightChoice, provide_light, spawn_light};
-use lobelia_world::light::placement::{LightGroup, PicturePlacement};
-use lobelia_world::light::{LightLobe, light_frame::LightFrame};
-use lobelia_world::material::shown::{show_edited, spawn_material};
+use lobelia_world::light::{light_frame::LightFrame, placement::LightGroup, placement::PicturePlacement};
 use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, edit::MaterialState};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
-use lobelia_world::sample::point::Scenery;
+use lobelia_world::{material::shown::show_edited, material::shown::spawn_material, sample::point::Scenery};
 use std::sync::Arc;
 
 /// Name of the light and the edits of the true object.
@@ -30,7 +23,7 @@ pub struct TrueObject {
     pipeline: Pipeline,
     surface: Arc<Surface>,
     /// Its light in each round.
-    lights: Vec<LoadedLight>,
+    pub lights: Vec<LoadedLight>,
     light_frame: LightFrame,
     placements: Vec<Mat3>,
     max_bounces: u32,
@@ -43,33 +36,28 @@ impl TrueObject {
         pipeline.add_plugin(&FramePlugin);
         let scenery: Arc<dyn Intersect> = surface.clone();
         pipeline.world.insert_resource(Scenery(scenery));
-        let albedo =
-            surface.atlas().position.iter().map(|p| DiffuseAlbedo(pattern_at(&spec.truth.albedo, *p)));
+        let truth = &spec.truth;
+        let albedo = surface.atlas().position.iter().map(|p| DiffuseAlbedo(pattern_at(&truth.albedo, *p)));
         let albedo: Vec<DiffuseAlbedo> = albedo.collect();
         let blends = vec![SpecularBlend::default(); albedo.len()];
         let sheen = vec![DiffuseSheen::default(); albedo.len()];
         let tilt = vec![DiffuseTilt::default(); albedo.len()];
-        let mut material =
-            MaterialState { albedo, sheen, tilt, blends, lobes: vec![Some(spec.truth.specular)] };
-        apply_edits(&mut material, &spec.truth.edits, surface)?;
+        let lobes = vec![Some(truth.specular)];
+        let mut material = MaterialState { albedo, sheen, tilt, blends, lobes };
+        apply_edits(&mut material, &truth.edits, surface)?;
         spawn_material(&mut pipeline.world, &material);
         // Rotations of the object in the rounds of photographs.
-        let turned = spec.truth.placements.iter().map(|degrees| Mat3::from_quat(rotation(*degrees)));
-        let others = spec.truth.other_lights.iter().map(load_light);
-        let lights = std::iter::once(load_light(&spec.truth.light)).chain(others).collect::<Result<_>>()?;
+        let turned = truth.placements.iter().map(|degrees| Mat3::from_quat(rotation(*degrees)));
+        let others = truth.other_lights.iter().map(load_light);
+        let lights = std::iter::once(load_light(&truth.light)).chain(others).collect::<Result<_>>()?;
         Ok(Self {
             pipeline,
             surface: surface.clone(),
             lights,
-            light_frame: spec.truth.light_frame,
+            light_frame: truth.light_frame,
             placements: std::iter::once(Mat3::IDENTITY).chain(turned).collect(),
             max_bounces: spec.max_bounces,
         })
-    }
-
-    /// The lobes of its light in the first round.
-    pub fn lobes(&self) -> &[LightLobe] {
-        &self.lights[0].lobes
     }
 
     /// Path-traced pictures of the true object, optionally under another light or with edits. In its own light it lies as in the placement of each.
@@ -82,13 +70,18 @@ impl TrueObject {
         seed: u64,
         mut done: impl FnMut(),
     ) -> Result<Vec<Frame>> {
-        let lights = self.spawn_lights(light);
+        // Each is named by `name_of`.
+        let frame = light.is_none().then_some(self.light_frame);
+        let lights = light.map_or(self.lights.as_slice(), std::slice::from_ref);
+        for (number, LoadedLight { lobes, map, .. }) in lights.iter().enumerate() {
+            let spawned = spawn_light(&mut self.pipeline.world, name_of(number), lobes, map.clone());
+            frame.into_iter().for_each(|frame| _ = self.pipeline.world.entity_mut(spawned).insert(frame));
+        }
         spawn_edits(&mut self.pipeline.world, TRUTH, edits, &self.surface)?;
         self.pipeline.swap(Phase::Frame, Slot::Material, show_edited(TRUTH));
         let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
-        let side = (f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32;
-        let settings =
-            RenderSettings { shading, samples_per_pixel: side * side, ..RenderSettings::default() };
+        let samples_per_pixel = ((f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32).pow(2);
+        let settings = RenderSettings { shading, samples_per_pixel, ..RenderSettings::default() };
         let mut frames = Vec::new();
         for (i, (camera, placement)) in views.iter().enumerate() {
             check_interrupted()?;
@@ -96,7 +89,7 @@ impl TrueObject {
             let round = placement.0 as usize;
             let room_from_object = self.placements.get(round).copied().unwrap_or(Mat3::IDENTITY);
             // Rounds under other lights come after those of placements.
-            let number = (round + 1).saturating_sub(self.placements.len()).min(lights - 1);
+            let number = (round + 1).saturating_sub(self.placements.len()).min(lights.len() - 1);
             let choice = LightChoice::Named(name_of(number));
             let shown = PicturePlacement { room_from_object, light: LightGroup::OWN };
             self.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, true));
@@ -107,15 +100,20 @@ impl TrueObject {
         Ok(frames)
     }
 
-    /// Spawns this light, or its own; returns how many there are. Each is named by [`name_of`].
-    fn spawn_lights(&mut self, light: Option<&LoadedLight>) -> usize {
-        let frame = light.is_none().then_some(self.light_frame);
-        let lights = light.map_or(self.lights.as_slice(), std::slice::from_ref);
-        for (number, LoadedLight { lobes, map, .. }) in lights.iter().enumerate() {
-            let spawned = spawn_light(&mut self.pipeline.world, name_of(number), lobes, map.clone());
-            frame.into_iter().for_each(|frame| _ = self.pipeline.world.entity_mut(spawned).insert(frame));
+    /// Its photographs, from the cameras of the scene.
+    pub fn take(&mut self, spec: &Photographed, scene: &Scene, to: &dyn Progress) -> Result<Vec<ViewRecord>> {
+        let mut views = imagine(spec, scene)?;
+        let bar = to.bar("photograph", views.len() as u64);
+        let shown: Vec<_> = views.iter().map(|view| (view.camera, view.placement)).collect();
+        let frames = self.pictures(&shown, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
+        bar.finish_and_clear();
+        for (view, frame) in views.iter_mut().zip(frames) {
+            let Camera { width, height, .. } = view.camera;
+            let (image, mask) = (Image { width, height, pixels: frame.color }, frame.alpha);
+            view.photograph = Some(Photograph::of_image(&image));
+            view.mask = Some(StoredMask::new(&Mask { width, height, coverage: mask }));
         }
-        lights.len()
+        Ok(views)
     }
 }
 
@@ -123,27 +121,7 @@ fn name_of(light: usize) -> String {
     format!("{TRUTH} {light}")
 }
 
-pub fn take(
-    truth: &mut TrueObject,
-    spec: &Photographed,
-    scene: &Scene,
-    progress: &dyn Progress,
-) -> Result<Vec<ViewRecord>> {
-    let mut views = imagine(spec, scene)?;
-    let bar = progress.bar("photograph", views.len() as u64);
-    let shown: Vec<(Camera, Placement)> = views.iter().map(|view| (view.camera, view.placement)).collect();
-    let frames = truth.pictures(&shown, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
-    bar.finish_and_clear();
-    for (view, frame) in views.iter_mut().zip(frames) {
-        let Camera { width, height, .. } = view.camera;
-        let (image, mask) = (Image { width, height, pixels: frame.color }, frame.alpha);
-        view.photograph = Some(Photograph::of_image(&image));
-        view.mask = Some(StoredMask::new(&Mask { width, height, coverage: mask }));
-    }
-    Ok(views)
-}
-
-/// The views of [`take`] with photographs that are not rendered, for checks that look at no pixel.
+/// The views of [`TrueObject::take`] with photographs that are not rendered, for checks that look at no pixel.
 pub(crate) fn imagine(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewRecord>> {
     // The placements in turn.
     let rounds = spec.truth.rounds() as u32;
@@ -180,14 +158,8 @@ pub fn ring(spec: &CameraRing, up: Vec3) -> Vec<CameraSpec> {
 
 /// `up`, or another axis if `up` is nearly along the line of sight.
 fn up_across(up: Vec3, sight: Vec3) -> Vec3 {
-    let along = |direction: Vec3| sight.dot(direction.normalize_or(Vec3::Y)).abs() > 0.99;
-    if !along(up) {
-        up
-    } else if !along(Vec3::Z) {
-        Vec3::Z
-    } else {
-        Vec3::X
-    }
+    let is_across = |of: &Vec3| sight.dot(of.normalize_or(Vec3::Y)).abs() <= 0.99;
+    [up, Vec3::Z].into_iter().find(is_across).unwrap_or(Vec3::X)
 }
 
 fn pattern_at(pattern: &Pattern, at: Vec3) -> Vec3 {

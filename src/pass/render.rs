@@ -1,8 +1,8 @@
 //! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that `show` swaps
 //! in, as views and as films, in which camera, light and material change.
 
+use crate::pass::run::{progress::Bar, session::Session};
 use crate::pass::show::{camera_rays, chosen_light, show, show_placement};
-use crate::pass::{run::progress::Bar, run::session::Session};
 use crate::report::tone::{Backdrop, Look, Picture, write_png_rows};
 use crate::scene::{
     Easing, LightSweep, MaterialSweep, Orbit, OrbitKey, Pass, RenderSettings, Shading, ViewChoice,
@@ -11,23 +11,17 @@ use bevy_ecs::prelude::{Component, Entity, With, World};
 use glam::{Quat, Vec3};
 use image::RgbImage;
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
-use lobelia_geometry::view::camera::{self, Camera};
-use lobelia_geometry::view::{Frame, Split, ViewName};
+use lobelia_geometry::view::{Frame, Split, ViewName, camera, camera::Camera};
 use lobelia_io::codec::film::{FFMPEG, write_film};
 use lobelia_io::codec::{exr_frame::write_frame_rows, file::file_stems, png_file::write_rgb8};
 use lobelia_sg::color::srgb_from_linear;
-use lobelia_solve::shade::adaptive::render_adaptive;
-use lobelia_solve::shade::frame::{band_rows, render_bands};
+use lobelia_solve::shade::{adaptive::render_adaptive, frame::band_rows, frame::render_bands};
 use lobelia_world::light::lights::{IncidentLight, provide_turned_light};
-use lobelia_world::light::placement::PicturePlacement;
 use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditTarget};
-use lobelia_world::material::shown::show_edited;
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
-use lobelia_world::sample::despawn_pool;
+use lobelia_world::{light::placement::PicturePlacement, material::shown::show_edited, sample::despawn_pool};
 use rayon::prelude::*;
-use std::collections::HashMap;
-use std::path::{Path, PathBuf};
-use std::sync::mpsc::sync_channel;
+use std::{collections::HashMap, path::PathBuf, sync::mpsc::sync_channel};
 use tracing::info_span;
 
 /// Stem of the files of a film.
@@ -39,7 +33,7 @@ const FRAMES: &str = "orbit_frames";
 pub(crate) fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
     show(session, pass, settings)?;
     let name = pass.name();
-    let folder = session.folder(name);
+    let folder = session.out.join(name);
     let views = chosen_views(&mut session.pipeline.world, settings);
     let film = match &settings.orbit {
         Some(orbit) => Some((orbit, cameras(session, orbit)?)),
@@ -50,14 +44,25 @@ pub(crate) fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings)
     for view in &views {
         check_interrupted()?;
         show_placement(&mut session.pipeline.world, view.entity);
-        let written = write_view(&mut session.pipeline, &folder, view, settings);
+        let path = |ending: &str| folder.join(format!("{}.{ending}", view.stem));
+        let (camera, size) = (view.camera, [view.camera.width, view.camera.height]);
+        // Both band by band.
+        let written = write_frame_rows(path("exr"), size.map(|side| side as usize), |layers| {
+            write_png_rows(path("png"), size, !settings.backdrop, |colors| {
+                let pipeline = &mut session.pipeline;
+                bands(pipeline, camera, settings, Backdrop::Transparent, &mut |frame, samples| {
+                    layers.push(frame)?;
+                    colors.push(samples)
+                })
+            })
+        });
         session.pipeline.world.remove_resource::<PicturePlacement>();
         written?;
         bar.inc(1);
     }
     if let Some((orbit, cameras)) = &film {
         let rendered = render_film(session, pass, settings, (orbit, cameras), &*bar);
-        sweep_material(&mut session.pipeline.world, name, []);
+        sweep_material(&mut session.pipeline.world, name, Vec::new());
         despawn_pool(&mut session.pipeline.world);
         let _writing = info_span!("film written").entered();
         let film = write_film(&folder.join(FILM), &rendered?, orbit.fps)?;
@@ -80,17 +85,28 @@ fn render_film(
     (orbit, cameras): (&Orbit, &[Camera]),
     bar: &dyn Bar,
 ) -> Result<Vec<PathBuf>> {
-    let folder = session.folder(pass.name()).join(FRAMES);
-    let files: Vec<PathBuf> =
-        (0..cameras.len()).map(|frame| folder.join(format!("{frame:06}.png"))).collect();
+    let folder = session.out.join(pass.name()).join(FRAMES);
+    let files: Vec<PathBuf> = (0..cameras.len()).map(|i| folder.join(format!("{i:06}.png"))).collect();
     let failed = |what: &str| Error::run("making a film", what);
     std::thread::scope(|scope| {
-        let (sender, waiting) = sync_channel::<(&PathBuf, RgbImage)>(1);
-        let writer =
-            scope.spawn(move || waiting.into_iter().try_for_each(|(file, frame)| write_rgb8(file, &frame)));
+        let (sender, ready) = sync_channel::<(&PathBuf, RgbImage)>(1);
+        let write = |(file, frame): (&PathBuf, RgbImage)| write_rgb8(file, &frame);
+        let writer = scope.spawn(move || ready.into_iter().try_for_each(write));
         let rendered = (0..).zip(cameras).zip(&files).try_for_each(|((frame, camera), file)| {
             check_interrupted()?;
-            show_moment(session, pass, settings, orbit, frame);
+            // Swaps in the light of the frame, and edits the material, if the film changes them.
+            let time = Time::of(frame, orbit.frames);
+            if let Some(sweep) = &orbit.light {
+                let (choice, by_map) = chosen_light(session, pass, settings.shading);
+                let light = provide_turned_light(choice, by_map, light_turn(sweep, session.scene.up, time));
+                session.pipeline.swap(Phase::Frame, Slot::Light, light);
+            }
+            if let Some(sweep) = &orbit.material {
+                if frame == 0 {
+                    session.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
+                }
+                sweep_material(&mut session.pipeline.world, pass.name(), factors(sweep, time));
+            }
             let frame = film_frame(&mut session.pipeline, *camera, settings)?;
             bar.inc(1);
             // A writer that has failed says why below.
@@ -117,8 +133,7 @@ pub(crate) struct ChosenView {
 pub(crate) fn chosen_views(world: &mut World, settings: &RenderSettings) -> Vec<ChosenView> {
     let mut query = world.query::<(Entity, &ViewName, &Camera, &Split)>();
     let all: Vec<_> = query.iter(world).collect();
-    let names: Vec<(&str, Split)> =
-        all.iter().map(|(_, name, _, split)| (name.0.as_str(), **split)).collect();
+    let names: Vec<(&str, Split)> = all.iter().map(|(_, name, _, split)| (&*name.0, **split)).collect();
     let chosen = chosen_stems(&names, settings).into_iter().map(|(i, stem)| {
         let (entity, name, camera, _) = all[i];
         ChosenView { stem, name: name.0.clone(), entity, camera: *camera }
@@ -150,26 +165,6 @@ pub fn chosen_stems(views: &[(&str, Split)], settings: &RenderSettings) -> Vec<(
     let mut stems: Vec<(usize, String)> = chosen.into_iter().zip(file_stems(&names, taken)).collect();
     stems.sort_by(|a, b| a.1.cmp(&b.1));
     stems
-}
-
-/// Renders a view and writes it as EXR and PNG, both band by band.
-fn write_view(
-    pipeline: &mut Pipeline,
-    folder: &Path,
-    view: &ChosenView,
-    settings: &RenderSettings,
-) -> Result<()> {
-    let path = |ending: &str| folder.join(format!("{}.{ending}", view.stem));
-    let camera = view.camera;
-    let size = [camera.width, camera.height];
-    write_frame_rows(path("exr"), size.map(|side| side as usize), |layers| {
-        write_png_rows(path("png"), size, !settings.backdrop, |colors| {
-            bands(pipeline, camera, settings, Backdrop::Transparent, &mut |frame, samples| {
-                layers.push(frame)?;
-                colors.push(samples)
-            })
-        })
-    })
 }
 
 fn film_frame(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSettings) -> Result<RgbImage> {
@@ -238,9 +233,7 @@ fn bands(
 }
 
 /// The files that a film may have; one that ends with `/` is a folder.
-pub(crate) fn film_files() -> [String; 3] {
-    [format!("{FILM}.mp4"), format!("{FILM}.gif"), format!("{FRAMES}/")]
-}
+pub(crate) const FILM_FILES: [&str; 3] = ["orbit.mp4", "orbit.gif", "orbit_frames/"];
 
 /// The time of a frame, in two measures.
 #[derive(Clone, Copy, Debug)]
@@ -306,32 +299,13 @@ fn between_keys(keys: &[OrbitKey], pick: impl Fn(&OrbitKey) -> Option<f32>, time
     }
 }
 
-/// Swaps in the light of a frame, and edits the material, if the film changes them. [`sweep_material`] without factors ends it.
-fn show_moment(session: &mut Session, pass: &Pass, settings: &RenderSettings, orbit: &Orbit, frame: u32) {
-    let time = Time::of(frame, orbit.frames);
-    if let Some(sweep) = &orbit.light {
-        let (choice, by_map) = chosen_light(session, pass, settings.shading);
-        let turn = light_turn(sweep, session.scene.up, time);
-        session.pipeline.swap(Phase::Frame, Slot::Light, provide_turned_light(choice, by_map, turn));
-    }
-    if let Some(sweep) = &orbit.material {
-        if frame == 0 {
-            session.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
-        }
-        sweep_material(&mut session.pipeline.world, pass.name(), factors(sweep, time));
-    }
-}
-
 /// Marks the edits by which a film changes the material, until its next frame.
 #[derive(Component)]
 struct Swept;
 
-/// Replaces the swept edits by `factors`, after all other edits of the pass; each has its own target, so that they need no order.
-fn sweep_material(
-    world: &mut World,
-    pass: &str,
-    factors: impl IntoIterator<Item = (EditTarget, EditAction)>,
-) {
+/// Replaces the swept edits by `factors`, after all other edits of the pass; without any the sweep ends. Each has its own target, so that they
+/// need no order.
+fn sweep_material(world: &mut World, pass: &str, factors: Vec<(EditTarget, EditAction)>) {
     let mut query = world.query_filtered::<Entity, With<Swept>>();
     let old: Vec<Entity> = query.iter(world).collect();
     old.into_iter().for_each(|edit| _ = world.despawn(edit));
@@ -363,14 +337,8 @@ fn factors(sweep: &MaterialSweep, time: Time) -> Vec<(EditTarget, EditAction)> {
 mod tests {
     use super::*;
 
-    fn key(at: f32, elevation: Option<f32>, angle: Option<f32>) -> OrbitKey {
-        OrbitKey {
-            at,
-            elevation_degrees: elevation,
-            angle_degrees: angle,
-            easing: Easing::Linear,
-            ..OrbitKey::default()
-        }
+    fn key(at: f32, elevation_degrees: Option<f32>, angle_degrees: Option<f32>) -> OrbitKey {
+        OrbitKey { at, elevation_degrees, angle_degrees, easing: Easing::Linear, ..OrbitKey::default() }
     }
 
     #[test]

@@ -2,30 +2,25 @@
 
 use crate::pass::{photograph::ring, run::session::Session, show::material_of};
 use crate::scene::{
-    Albedo, AlbedoSource, Dataset, Gloss, Light, LightSource, Material, Pass, PlacementLight, PlacementSpec,
-    Roughness, SavePass, Scene, Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt, Views,
-    load::to_ron,
+    Albedo, AlbedoSource, Dataset, Gloss, Light, LightSource, Material, NdfChoice, Pass, PlacementLight,
+    PlacementSpec, Roughness, SavePass, Scene, Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt,
+    Views,
 };
-use crate::spawn::light::{angles, inlined};
+use crate::{scene::load::to_ron, spawn::light::angles, spawn::light::inlined};
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::atlas::TexelAtlas;
+use lobelia_geometry::{error::Error, error::Result, mesh::atlas::TexelAtlas};
 use lobelia_io::codec::file::{read_bytes, write_bytes};
-use lobelia_io::codec::npy::{NpyConvention, write_lobes};
-use lobelia_io::codec::{
-    exr::ExrLayers, exr_frame::write_channels, gltf::export::write_glb, nearby::missing_file_help,
-};
-use lobelia_io::dataset::Priors;
+use lobelia_io::codec::{exr::ExrLayers, nearby::missing_file_help, npy::NpyConvention, npy::write_lobes};
+use lobelia_io::{codec::exr_frame::write_channels, codec::gltf::export::write_glb, dataset::Priors};
+use lobelia_sg::brdf::Ndf;
 use lobelia_solve::fit::cameras::CameraFit;
 use lobelia_world::light::placement::{PlacementTurn, Placements, TurnSource};
 use lobelia_world::light::{
     LightLobe, groups::lobes_of_group, light_frame::OwnLightFrame, lights::own_lobes,
 };
-use lobelia_world::material::{
-    SpecularBlend, SpecularLobe, edit::MaterialState, sheen::has_sheen, tilt::has_tilt,
-};
-use std::ffi::OsStr;
-use std::path::Path;
+use lobelia_world::material::sheen::has_sheen;
+use lobelia_world::material::{SpecularBlend, SpecularLobe, edit::MaterialState, tilt::has_tilt};
+use std::path::{Path, PathBuf};
 
 /// Channels of colors.
 pub(crate) const RGB: [&str; 3] = ["R", "G", "B"];
@@ -33,7 +28,7 @@ pub(crate) const RGB: [&str; 3] = ["R", "G", "B"];
 /// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object with the recovered material and light, or those of the pass `of`,
 /// all fixed, with the scene's views (without the optimized poses of training views).
 pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
-    let folder = session.folder(&pass.name);
+    let folder = session.out.join(&pass.name);
     let material = material_of(session, pass.of.as_deref())?;
     let surface = session.surface.clone();
     let atlas = surface.atlas();
@@ -51,24 +46,36 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
         Some(light) => light.lobes.clone(),
         None => own_lobes(&mut session.pipeline.world),
     };
-    let light = save_source(given, &lobes, &folder, "light")?;
+    let light = save_source(given, &lobes, &folder.join("light"))?;
     let own = session.pipeline.world.get_resource::<OwnLightFrame>().filter(|_| !relit);
     let frame = own.map(|own| own.0).unwrap_or_default();
+    // With absolute paths; rendered photographs become cameras only, of the object in its first placement. An object that is relit lies
+    // in its new light the same in all.
+    let views = match &session.scene.views {
+        Views::Dataset(spec) => {
+            let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
+            let found = session.pipeline.world.get_resource::<CameraFit>();
+            let focal_scale = spec.focal_scale * found.map_or(1.0, CameraFit::focal_factor);
+            // All is known: nothing is left that prior maps would say.
+            let priors = Priors::default();
+            let placements = if relit { Vec::new() } else { placements_found(session, spec, &folder)? };
+            Views::Dataset(Dataset { path, focal_scale, priors, placements, ..spec.clone() })
+        }
+        Views::Cameras(cameras) => Views::Cameras(cameras.clone()),
+        Views::Photographed(spec) => Views::Cameras(ring(&spec.cameras, session.scene.up)),
+    };
+    let texture_size = atlas.width;
     let saved = Scene {
-        surface: SurfaceSpec::Mesh {
-            path: "mesh.glb".into(),
-            texture_size: atlas.width,
-            own_material: false,
-        },
-        views: saved_views(session, relit, &folder)?,
+        surface: SurfaceSpec::Mesh { path: "mesh.glb".into(), texture_size, own_material: false },
+        views,
         light: Light::Fixed(light),
         light_frame: frame.into(),
         material,
         passes: session.scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
         ..session.scene.clone()
     };
-    let text =
-        format!("// Saved by Lobelia. Run it again with: lobelia run scene.ron\n{}\n", to_ron(&saved)?);
+    let text = to_ron(&saved)?;
+    let text = format!("// Saved by Lobelia. Run it again with: lobelia run scene.ron\n{text}\n");
     write_bytes(&folder.join("scene.ron"), text.as_bytes())?;
     session.progress.print(&format!("{}: {}", pass.name, folder.join("scene.ron").display()));
     Ok(())
@@ -81,7 +88,7 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
 /// If a file cannot be written.
 pub fn write_material(folder: &Path, material: &MaterialState, atlas: &TexelAtlas) -> Result<Material> {
     let write = |name: &str, channels: [&str; 3], values: &[Vec3]| {
-        write_vectors(&folder.join(name), channels, values, atlas).map(|()| name.into())
+        write_layers(&folder.join(name), atlas, vector_channels(channels, values)).map(|()| name.into())
     };
     let albedo: Vec<Vec3> = material.albedo.iter().map(|albedo| albedo.0).collect();
     let mut saved = Material {
@@ -102,76 +109,64 @@ pub fn write_material(folder: &Path, material: &MaterialState, atlas: &TexelAtla
         saved.specular = Specular {
             albedo: SpecularAlbedo::Fixed(one.albedo),
             roughness: Roughness::Fixed(one.roughness),
-            ndf: one.ndf.into(),
+            ndf: if one.ndf == Ndf::Ggx { NdfChoice::Ggx } else { NdfChoice::Sg },
         };
     } else {
         // Base materials of a scene are numbered from 0: unused numbers are left out.
         let (numbers, lobes): (Vec<usize>, Vec<SpecularLobe>) =
             material.materials().map(|(number, lobe)| (number, *lobe)).unzip();
         let weights = "blend.exr";
-        write_weights(&folder.join(weights), &material.blends, &numbers, atlas)?;
+        write_layers(&folder.join(weights), atlas, weight_channels(&material.blends, numbers))?;
         saved.gloss = Gloss::Fixed { lobes, weights: weights.into() };
     }
     Ok(saved)
 }
 
-/// Writes a vector for each texel, as channels of these names.
-pub(crate) fn write_vectors(
+/// Writes channels of a value for each texel, by their names.
+pub(crate) fn write_layers(
     path: &Path,
-    names: [&str; 3],
-    values: &[Vec3],
     atlas: &TexelAtlas,
+    channels: impl IntoIterator<Item = (String, Vec<f32>)>,
 ) -> Result<()> {
-    let mut texture = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
-    texture.insert_triple(names, values);
-    write_channels(path, &texture)
+    let (width, height, channels) = (atlas.width, atlas.height, channels.into_iter().collect());
+    write_channels(path, &ExrLayers { width, height, channels })
 }
 
-/// Writes the blend weights of the base materials with these numbers for [`read_weights`](lobelia_io::codec::texture::read_weights).
-pub(crate) fn write_weights(
-    path: &Path,
+/// The channels of vectors.
+pub(crate) fn vector_channels(names: [&str; 3], values: &[Vec3]) -> [(String, Vec<f32>); 3] {
+    [0, 1, 2].map(|axis| (names[axis].to_owned(), values.iter().map(|v| v[axis]).collect()))
+}
+
+/// The channels of the blend weights of the base materials with these numbers for [`read_weights`](lobelia_io::codec::texture::read_weights).
+pub(crate) fn weight_channels(
     blends: &[SpecularBlend],
-    numbers: &[usize],
-    atlas: &TexelAtlas,
-) -> Result<()> {
-    let mut layers = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
-    for (place, k) in numbers.iter().enumerate() {
-        layers.channels.insert(format!("weight{place}"), blends.iter().map(|blend| blend.0[*k]).collect());
-    }
-    write_channels(path, &layers)
+    numbers: impl IntoIterator<Item = usize>,
+) -> impl Iterator<Item = (String, Vec<f32>)> {
+    let weights = |k: usize| blends.iter().map(move |blend| blend.0[k]).collect();
+    numbers.into_iter().enumerate().map(move |(place, k)| (format!("weight{place}"), weights(k)))
 }
 
-/// Writes a light: the map that it is given by, unchanged, so that path tracing with it gives the same
-/// result, or else its lobes.
-fn save_source(
-    given: Option<LightSource>,
-    lobes: &[LightLobe],
-    folder: &Path,
-    stem: &str,
-) -> Result<LightSource> {
-    let mut given = match given {
-        Some(LightSource::Ron { path, scale, rotation_degrees }) => {
-            Some(inlined(&path, scale, rotation_degrees)?)
-        }
+/// Writes a light to a file with this stem: the map that it is given by, unchanged, so that path tracing with it gives the same
+/// result, or else its lobes. Returns it with the name of that file.
+fn save_source(given: Option<LightSource>, lobes: &[LightLobe], stem: &Path) -> Result<LightSource> {
+    let given = match given {
+        Some(LightSource::Ron { path, scale, rotation_degrees: turn }) => Some(inlined(&path, scale, turn)?),
         source => source,
     };
-    let name = |extension: &OsStr| Path::new(stem).with_extension(extension);
-    if let Some(LightSource::Map { path, .. }) = &mut given {
-        let bytes = read_bytes(path, missing_file_help)?;
-        *path = name(path.extension().unwrap_or_default());
-        write_bytes(&folder.join(path), &bytes)?;
-    }
-    if let Some(map @ LightSource::Map { .. }) = given {
+    let name = |file: &Path| PathBuf::from(file.file_name().unwrap_or_default());
+    if let Some(mut map @ LightSource::Map { .. }) = given {
+        if let LightSource::Map { path, .. } = &mut map {
+            let bytes = read_bytes(path, missing_file_help)?;
+            let file = stem.with_extension(path.extension().unwrap_or_default());
+            write_bytes(&file, &bytes)?;
+            *path = name(&file);
+        }
         return Ok(map);
     }
-    let path = name("npy".as_ref());
-    write_lobes(folder.join(&path), lobes, NpyConvention::Lobelia)?;
-    Ok(LightSource::Npy {
-        path,
-        convention: NpyConvention::Lobelia,
-        scale: 1.0,
-        rotation_degrees: Vec3::ZERO,
-    })
+    let file = stem.with_extension("npy");
+    write_lobes(&file, lobes, NpyConvention::Lobelia)?;
+    let (path, convention) = (name(&file), NpyConvention::Lobelia);
+    Ok(LightSource::Npy { path, convention, scale: 1.0, rotation_degrees: Vec3::ZERO })
 }
 
 /// The placements with the rotations and lights that were found.
@@ -186,28 +181,10 @@ fn placements_found(session: &mut Session, spec: &Dataset, folder: &Path) -> Res
             PlacementLight::Fixed(source) => Some(Some(source.clone())),
         };
         let lobes = lobes_of_group(world, turn.light);
-        let saved = |given| save_source(given, &lobes, folder, &format!("light_{}", turn.light.0 + 1));
+        let stem = folder.join(format!("light_{}", turn.light.0 + 1));
+        let saved = |given| save_source(given, &lobes, &stem);
         let light = given.map(saved).transpose()?.map_or(PlacementLight::Same, PlacementLight::Fixed);
         Ok(PlacementSpec { turned_degrees: found.or(of.turned_degrees), light, ..of.clone() })
     };
     spec.placements.iter().zip(&turns.0).map(found).collect()
-}
-
-/// The scene's views with absolute paths; rendered photographs become cameras only, of the object in its first placement. An object that is `relit`
-/// lies in its new light the same in all.
-fn saved_views(session: &mut Session, relit: bool, folder: &Path) -> Result<Views> {
-    match &session.scene.views {
-        Views::Dataset(spec) => {
-            let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
-            let found =
-                session.pipeline.world.get_resource::<CameraFit>().map_or(1.0, CameraFit::focal_factor);
-            let focal_scale = spec.focal_scale * found;
-            // All is known: nothing is left that prior maps would say.
-            let priors = Priors::default();
-            let placements = if relit { Vec::new() } else { placements_found(session, spec, folder)? };
-            Ok(Views::Dataset(Dataset { path, focal_scale, priors, placements, ..spec.clone() }))
-        }
-        Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),
-        Views::Photographed(spec) => Ok(Views::Cameras(ring(&spec.cameras, session.scene.up))),
-    }
 }

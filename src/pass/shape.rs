@@ -1,44 +1,30 @@
 //! The `Shape` pass: recovers an unknown surface from photographs and masks, and replaces the visual hull by it.
 
-use crate::pass::run::progress::{Moment, Progress};
-use crate::pass::run::session::{Placed, Session};
-use crate::pass::{fit::steps::closed_form, fit::write_views};
+use crate::pass::{fit::steps::closed_form, fit::write_views, run::session::Session};
 use crate::scene::{GridLevel, ShapePass, Surface as SurfaceSpec};
-use crate::spawn::insert_known_along;
+use crate::{pass::run::progress::Moment, pass::run::progress::Progress, spawn::insert_known_along};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use image::{Rgb, RgbImage};
-use lobelia_geometry::error::stop::{finish_stopping, is_stopping};
-use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_stopping};
 use lobelia_geometry::mesh::{Surface, atlas::unwrap_mesh, triangles::Mesh};
-use lobelia_geometry::sdf::{extract::extract_mesh, volume::SdfSurface};
-use lobelia_geometry::view::{AlbedoMap, Camera};
+use lobelia_geometry::{sdf::extract::extract_mesh, sdf::volume::SdfSurface, view::AlbedoMap, view::Camera};
 use lobelia_io::codec::{gltf::export::write_glb, png_file::write_rgb8};
-use lobelia_sg::accurate::Quality;
-use lobelia_sg::ray::{Hit, Intersect};
+use lobelia_sg::{accurate::Quality, ray::Hit, ray::Intersect};
 use lobelia_solve::fit::exposure::{ExposureChoice, Exposures};
 use lobelia_solve::fit::guard::{check_numbers, check_parameters};
-use lobelia_solve::fit::run::{Done, FitOptions, Initialize};
+use lobelia_solve::fit::run::{FitOptions, Initialize};
 use lobelia_solve::fit::scale::{ScaleRule, start_scale};
-use lobelia_solve::fit::{
-    components::Unknowns, groups::forget_visibility, observe::PixelChoice, roughness::TexelPlaces,
-};
-use lobelia_solve::shape::field::{ModelError, SdfField};
-use lobelia_solve::shape::run::{
-    HullReport, ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, refine_by_mirror, refine_by_outlines,
-    refine_by_stereo, replace_texels, training_silhouettes,
-};
+use lobelia_solve::fit::{groups::forget_visibility, observe::PixelChoice, roughness::TexelPlaces};
 use lobelia_solve::shape::{
-    hull::extract_parts, mirror::rounds as mirror_rounds, stereo::rounds as stereo_rounds,
-    systems::ShapeSchedule,
+    field::ModelError, field::SdfField, mirror::rounds as mirror_rounds, run::HullReport, run::ShapeLevel,
+    run::ShapeOptions, run::ShapeProgress, run::fit_shape, run::refine_by_mirror, run::refine_by_outlines,
+    run::refine_by_stereo, run::replace_texels, run::training_silhouettes, stereo::rounds as stereo_rounds,
 };
-use lobelia_world::material::recovered_albedo;
-use lobelia_world::sample::point::Scenery;
+use lobelia_solve::{fit::components::Unknowns, shape::hull::extract_parts, shape::systems::ShapeSchedule};
+use lobelia_world::{material::recovered_albedo, sample::point::Scenery};
 use rayon::prelude::*;
-use std::ops::ControlFlow;
-use std::path::Path;
-use std::sync::Arc;
-use std::time::Instant;
+use std::{ops::ControlFlow, path::Path, sync::Arc, time::Instant};
 use tracing::info_span;
 
 /// Steps between two redistancings.
@@ -70,31 +56,36 @@ pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
 
     // What was found takes the place of the hull, even if the run is stopped; then it is refined no more.
     let initialized = std::mem::replace(&mut session.kept.initialize, Initialize::NONE);
-    session.kept.placed = Placed::default();
+    (session.kept.normals_found, session.kept.by_stereo) = (false, false);
     check_parameters(&mut session.pipeline.world)?;
     check_numbers("the value of the field at point", found.grid.values.iter().copied())?;
     if !stopped {
-        match_outlines(session, name, &mut found);
+        // Moves the contours of the field to the outlines of the masks.
+        let (report, seconds) =
+            refined(session, name, "outlines", 0, |world, _| refine_by_outlines(world, &mut found));
+        session.progress.print(&format!(
+            "{name}: outlines in {seconds:.1} s, {:.2} pixels off before, {:.2} after",
+            report.before, report.after
+        ));
     }
     let masks = training_silhouettes(&mut session.pipeline.world);
     let mut mesh = extract_parts(&found.grid, &masks);
     if pass.stereo && !stopped && !is_stopping() {
-        session.kept.placed.by_stereo = match_views(session, name, &mut mesh);
+        session.kept.by_stereo = match_views(session, name, &mut mesh);
     } else {
         session.pipeline.world.remove_resource::<ModelError>();
     }
     // Colors of different exposures, or lights, are no reflections.
-    let exposures = session.pipeline.world.get_resource::<Exposures>();
-    let differ =
-        exposures.is_some_and(Exposures::are_unknown) || !session.scene.views.other_lights().is_empty();
+    let given = session.pipeline.world.get_resource::<Exposures>();
+    let differ = given.is_some_and(Exposures::are_unknown) || !session.scene.views.other_lights().is_empty();
     if pass.normals && !differ && !stopped && !is_stopping() {
-        session.kept.placed.normals = match_reflections(session, name, &mut mesh);
+        session.kept.normals_found = match_reflections(session, name, &mut mesh);
     }
     check_numbers("the surface's coordinate", mesh.positions.iter().flat_map(|at| at.to_array()))?;
     stopped |= is_stopping();
     finish_stopping();
     put_in_place(session, &found, &mesh, texture_size)?;
-    if session.kept.placed.normals {
+    if session.kept.normals_found {
         // With them highlights are sharper than light and lobe are by now: a fit finds these anew.
         session.kept.initialize = initialized;
     } else if initialized.light && initialized.albedo && !AlbedoMap::are_in(&mut session.pipeline.world) {
@@ -113,11 +104,49 @@ pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
 /// Fits the shape, with a bar and a look at it now and then. Returns the surface that was found, and
 /// whether the run was stopped before the end.
 fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
-    let options = options(session, pass);
+    let level = |level: &GridLevel| ShapeLevel {
+        cells: level.cells,
+        texel_cells: level.texel_cells,
+        least_pixels: level.pixels,
+        schedule: ShapeSchedule {
+            steps: level.steps,
+            hold: level.hold,
+            rates: level.rates,
+            silhouette: pass.silhouette,
+            silhouette_batch: pass.silhouette_batch as usize,
+            smoothness: pass.smoothness,
+            blur: pass.blur,
+            redistance_every: REDISTANCE_EVERY,
+        },
+    };
+    let max_pixels = pass.max_pixels as usize;
+    let options = ShapeOptions {
+        levels: pass.levels.iter().map(level).collect(),
+        fit: FitOptions {
+            loss: pass.loss,
+            form: closed_form(pass.shading, Quality::Default),
+            batch: pass.batch as usize,
+            rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
+            milestones: vec![0.6, 0.85],
+            // While the surface moves, its normals would take part in a sheen.
+            unknowns: Unknowns { sheen: false, ..session.unknowns() },
+            pixels: PixelChoice { seed: session.scene.seed, max_pixels, evenly: false },
+            initialize: session.kept.initialize,
+            exposure: pass.exposure,
+            // Without shadows, which would have to be traced at every step, dark regions would bias the color of the highlights.
+            scale: ScaleRule::Free,
+            light_frame: session.scene.light_frame.frame(&session.scene.light),
+            ..FitOptions::default()
+        },
+        cameras: pass.cameras,
+        // Colors of different exposures tell nothing of depth.
+        hollows: pass.hollows && matches!(pass.exposure, ExposureChoice::Auto | ExposureChoice::Equal),
+        spans_unseen: pass.spans_unseen,
+    };
     // How many levels there are is known once the hull is.
     let bar = session.progress.bar(&pass.name, 0);
     bar.set_message("hull".into());
-    let folder = session.folder(&pass.name).join("debug");
+    let folder = session.out.join(&pass.name).join("debug");
     let world = &mut session.pipeline.world;
     let camera = world.query::<&Camera>().iter(world).next().copied();
     let steps = |levels: &[GridLevel]| -> u32 { levels.iter().map(|level| level.steps).sum() };
@@ -128,8 +157,8 @@ fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
         fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress, world: &mut World| {
             tell_of_hull(progress, &pass.name, &mut told, at.hull);
             // Counted over all levels.
-            let (step, all) =
-                (steps(&pass.levels[..at.level]) + at.fit.step, steps(&pass.levels[..at.levels]));
+            let step = steps(&pass.levels[..at.level]) + at.fit.step;
+            let all = steps(&pass.levels[..at.levels]);
             bar.set_length(u64::from(all));
             bar.set_position(u64::from(step));
             if at.fit.step.is_multiple_of(20) {
@@ -148,59 +177,6 @@ fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
     Ok((surface, stopped))
 }
 
-fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
-    let level = |level: &GridLevel| ShapeLevel {
-        cells: level.cells,
-        texel_cells: level.texel_cells,
-        least_pixels: level.pixels,
-        schedule: ShapeSchedule {
-            steps: level.steps,
-            hold: level.hold,
-            rates: level.rates,
-            silhouette: pass.silhouette,
-            silhouette_batch: pass.silhouette_batch as usize,
-            smoothness: pass.smoothness,
-            blur: pass.blur,
-            redistance_every: REDISTANCE_EVERY,
-        },
-    };
-    ShapeOptions {
-        levels: pass.levels.iter().map(level).collect(),
-        fit: FitOptions {
-            loss: pass.loss,
-            form: closed_form(pass.shading, Quality::Default),
-            steps: 1,
-            done: Done::default(),
-            batch: pass.batch as usize,
-            early: 1.0,
-            rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
-            milestones: vec![0.6, 0.85],
-            decay: 0.4,
-            // While the surface moves, its normals would take part in a sheen.
-            unknowns: Unknowns { sheen: false, ..session.unknowns() },
-            pixels: PixelChoice {
-                seed: session.scene.seed,
-                max_pixels: pass.max_pixels as usize,
-                evenly: false,
-            },
-            keeps_pool: false,
-            initialize: session.kept.initialize,
-            // Visibility of a moving surface would have to be traced at every step.
-            visibility: false,
-            looks_for_sheen: false,
-            exposure: pass.exposure,
-            measures: false,
-            // Without shadows, dark regions would bias the color of the highlights.
-            scale: ScaleRule::Free,
-            light_frame: session.light_frame(),
-        },
-        cameras: pass.cameras,
-        // Colors of different exposures tell nothing of depth.
-        hollows: pass.hollows && matches!(pass.exposure, ExposureChoice::Auto | ExposureChoice::Equal),
-        spans_unseen: pass.spans_unseen,
-    }
-}
-
 /// Says how much was removed from the hull since it was `told`, where that can be seen; then all of it is `told`.
 fn tell_of_hull(progress: &dyn Progress, name: &str, told: &mut HullReport, now: HullReport) {
     let before = std::mem::replace(told, now);
@@ -209,8 +185,7 @@ fn tell_of_hull(progress: &dyn Progress, name: &str, told: &mut HullReport, now:
     }
     let shares = |parts: &[(f32, &str)]| {
         let seen = parts.iter().filter(|(share, _)| *share >= 0.0005);
-        let words: Vec<String> =
-            seen.map(|(share, what)| format!("{:.1} % that {what}", 100.0 * share)).collect();
+        let words: Vec<_> = seen.map(|(share, what)| format!("{:.1} % that {what}", 100.0 * share)).collect();
         (!words.is_empty()).then(|| words.join(", and "))
     };
     const THROUGH: &str = "photographs look through";
@@ -223,8 +198,7 @@ fn tell_of_hull(progress: &dyn Progress, name: &str, told: &mut HullReport, now:
     }
 }
 
-/// Does a part of the work on what was found, with a bar of so many rounds until the run is stopped. Also
-/// returns its seconds.
+/// Does a part of the work on what was found, with a bar of so many rounds until the run is stopped. Also returns its seconds.
 fn refined<T>(
     session: &mut Session,
     name: &str,
@@ -245,18 +219,7 @@ fn refined<T>(
     (done, start.elapsed().as_secs_f64())
 }
 
-/// Moves the contours of the field to the outlines of the masks, and says what came of it.
-fn match_outlines(session: &mut Session, name: &str, surface: &mut SdfSurface) {
-    let (report, seconds) =
-        refined(session, name, "outlines", 0, |world, _| refine_by_outlines(world, surface));
-    session.progress.print(&format!(
-        "{name}: outlines in {seconds:.1} s, {:.2} pixels off before, {:.2} after",
-        report.before, report.after
-    ));
-}
-
-/// Moves the mesh to where neighboring photographs agree; says what came of it and returns whether
-/// vertices then stay there.
+/// Moves the mesh to where neighboring photographs agree; says what came of it and returns whether vertices then stay there.
 fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
     let (report, seconds) = refined(session, name, "stereo", stereo_rounds(), |world, round| {
         refine_by_stereo(world, mesh, round)
@@ -275,8 +238,7 @@ fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
     holds
 }
 
-/// Gives the vertices the normals that explain what they mirror, if that is worth it; says what came of it
-/// and returns whether it was.
+/// Gives the vertices the normals that explain what they mirror, if that is worth it; says what came of it and returns whether it was.
 fn match_reflections(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
     let (report, seconds) = refined(session, name, "normals", mirror_rounds(), |world, round| {
         refine_by_mirror(world, mesh, round)
@@ -290,9 +252,7 @@ fn match_reflections(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool
             "turned by {:.1}° (median), {error:.0} % of the error in photographs kept aside; from here on vertices do not move",
             report.turned_degrees
         ),
-        Some(error) => {
-            format!("those of the mesh are kept: {error:.0} % of the error in photographs kept aside")
-        }
+        Some(of) => format!("those of the mesh are kept: {of:.0} % of the error in photographs kept aside"),
         None => format!("those of the mesh explain {:.0} %", 100.0 * (1.0 - report.unexplained)),
     };
     session.progress.print(&format!("{name}: normals by reflections in {seconds:.1} s, {found}"));
@@ -349,8 +309,7 @@ fn look(folder: &Path, camera: Option<&Camera>, surface: &SdfSurface, step: u32)
     let path = |kind: &str, ending: &str| folder.join(format!("{kind}_{step:06}.{ending}"));
     if let Some(camera) = camera {
         let pixels = (0..camera.width * camera.height).into_par_iter();
-        let hits: Vec<Option<Hit>> =
-            pixels.map(|pixel| surface.intersect(&camera.pixel_ray(pixel), 0.0)).collect();
+        let hits: Vec<_> = pixels.map(|pixel| surface.intersect(&camera.pixel_ray(pixel), 0.0)).collect();
         let picture = |color: &dyn Fn(&Hit) -> [u8; 3]| {
             let pixel = |x: u32, y: u32| hits[(y * camera.width + x) as usize].as_ref().map_or([0; 3], color);
             RgbImage::from_fn(camera.width, camera.height, |x, y| Rgb(pixel(x, y)))

@@ -2,14 +2,10 @@
 //! swaps them; the recovered material and the scene's own light do not change.
 
 use crate::pass::run::session::Session;
-use crate::scene::{
-    ColorAction, DiffuseAction, Edit, Light, Pass, Region, RenderSettings, ScalarAction, Shading,
-};
+use crate::scene::{ColorAction, Edit, Light, Pass, Region, RenderSettings, ScalarAction, Shading};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
-use lobelia_geometry::mesh::{Surface, atlas::TexelAtlas};
-use lobelia_geometry::view::Placement;
+use lobelia_geometry::{error::Result, mesh::Surface, mesh::atlas::TexelAtlas, view::Placement};
 use lobelia_io::codec::texture::{read_texture, read_texture_mask};
 use lobelia_sg::shading::ClosedForm;
 use lobelia_solve::shade::{PathTracing, frame::frame_material, shade_closed_form, shade_path_traced};
@@ -123,28 +119,20 @@ pub fn apply_edits(state: &mut MaterialState, edits: &[Edit], surface: &Surface)
 
 fn resolved(edits: &[Edit], surface: &Surface) -> Result<Vec<ResolvedEdit>> {
     let atlas = surface.atlas();
+    let (width, height) = (atlas.width, atlas.height);
     let blend = |value: Vec3, weight: f32| EditAction::Blend { value, weight };
+    let color = |action: &ColorAction| -> Result<EditAction> {
+        Ok(match action {
+            ColorAction::Set(color) => EditAction::Set(*color),
+            ColorAction::Scale(factor) => EditAction::Scale(*factor),
+            ColorAction::Blend { color, weight } => blend(*color, *weight),
+            ColorAction::Texture(path) => EditAction::PerTexel(read_texture(path, width, height)?.into()),
+        })
+    };
     let resolve = |edit: &Edit| {
         let (target, action) = match edit {
-            Edit::Diffuse { action, .. } => {
-                let action = match action {
-                    DiffuseAction::Set(color) => EditAction::Set(*color),
-                    DiffuseAction::Scale(factor) => EditAction::Scale(*factor),
-                    DiffuseAction::Blend { color, weight } => blend(*color, *weight),
-                    DiffuseAction::Texture(path) => {
-                        EditAction::PerTexel(read_texture(path, atlas.width, atlas.height)?.into())
-                    }
-                };
-                (EditTarget::Diffuse, action)
-            }
-            Edit::Specular { action, .. } => {
-                let action = match action {
-                    ColorAction::Set(color) => EditAction::Set(*color),
-                    ColorAction::Scale(factor) => EditAction::Scale(*factor),
-                    ColorAction::Blend { color, weight } => blend(*color, *weight),
-                };
-                (EditTarget::Specular, action)
-            }
+            Edit::Diffuse { action, .. } => (EditTarget::Diffuse, color(action)?),
+            Edit::Specular { action, .. } => (EditTarget::Specular, color(action)?),
             Edit::Roughness { action, .. } => {
                 let action = match action {
                     ScalarAction::Set(value) => EditAction::Set(Vec3::splat(*value)),
@@ -178,8 +166,7 @@ fn region_weights(region: &Region, atlas: &TexelAtlas) -> Result<Option<Vec<f32>
     let each = |depth: &(dyn Fn(Vec3) -> f32 + Sync), falloff: f32| {
         Some(atlas.position.par_iter().map(|p| weight_at(depth(*p), falloff)).collect::<Vec<f32>>())
     };
-    let around =
-        |points: &[Vec3], radius: f32, falloff: f32| each(&|p| radius - distance_to_line(p, points), falloff);
+    let around = |line: &[Vec3], radius, falloff| each(&|p| radius - distance_to_line(p, line), falloff);
     Ok(match region {
         Region::All => None,
         Region::Box { min, max, falloff } => {
@@ -193,15 +180,14 @@ fn region_weights(region: &Region, atlas: &TexelAtlas) -> Result<Option<Vec<f32>
 
 /// Distance of a point from the line through others, straight from each to the next; infinite if there are none.
 fn distance_to_line(from: Vec3, points: &[Vec3]) -> f32 {
+    let to_segment = |ends: &[Vec3]| {
+        let (offset, along) = (from - ends[0], ends[1] - ends[0]);
+        let squared = along.length_squared();
+        let t = if squared > 0.0 { (offset.dot(along) / squared).clamp(0.0, 1.0) } else { 0.0 };
+        offset.distance(t * along)
+    };
     let first = points.first().map_or(f32::INFINITY, |point| from.distance(*point));
-    points.windows(2).map(|ends| distance_to_segment(from, ends[0], ends[1])).fold(first, f32::min)
-}
-
-fn distance_to_segment(from: Vec3, start: Vec3, end: Vec3) -> f32 {
-    let (offset, along) = (from - start, end - start);
-    let squared = along.length_squared();
-    let t = if squared > 0.0 { (offset.dot(along) / squared).clamp(0.0, 1.0) } else { 0.0 };
-    offset.distance(t * along)
+    points.windows(2).map(to_segment).fold(first, f32::min)
 }
 
 /// The weight at a depth inside the boundary of the region: 0 outside, 1 from `falloff` on, smooth between.

@@ -1,10 +1,10 @@
 //! The `View` pass: a page that shows the object in a browser, with small photographs, of which only the part that shows the object.
 
 use crate::page::{Contents, PageCamera, PageLight, PagePhotograph, html, upright};
-use crate::pass::{run::session::Session, show::material_of};
-use crate::report::sheet::choose_evenly;
+use crate::pass::run::session::Session;
 use crate::report::tone::{Picture, jpeg_address, side_within, thumbnail_jpeg, thumbnail_mask};
 use crate::scene::{Pass, ViewPass, load::edit_to_ron};
+use crate::{pass::show::material_of, report::sheet::choose_evenly, survey::counted};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use image::{GrayImage, Luma};
@@ -13,11 +13,9 @@ use lobelia_geometry::view::{
     Camera, Photograph, PixelWindow, Placement, Split, ViewIndex, ViewMask, ViewName,
 };
 use lobelia_io::codec::file::write_bytes;
-use lobelia_solve::fit::exposure::Exposures;
-use lobelia_solve::visibility::ObjectVisibility;
+use lobelia_solve::{fit::exposure::Exposures, visibility::ObjectVisibility};
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
-use lobelia_world::light::placement::{LightGroup, Placements};
-use lobelia_world::light::{LightLobe, lights::own_lobes};
+use lobelia_world::light::{LightLobe, lights::own_lobes, placement::LightGroup, placement::Placements};
 use std::path::Path;
 
 /// The page's file name.
@@ -30,7 +28,7 @@ pub(crate) fn run(session: &mut Session, pass: &ViewPass) -> Result<()> {
         Some((pass.name().to_owned(), light.lobes.clone()))
     });
     let named = named.collect();
-    let path = session.folder(&pass.name).join(PAGE);
+    let path = session.out.join(&pass.name).join(PAGE);
     write_page(session, pass, named, &path)
 }
 
@@ -45,8 +43,14 @@ pub(crate) fn write_page(
     let edits = session.pass_named(pass.of.as_deref()).map_or(&[][..], Pass::edits);
     let edits = edits.iter().map(edit_to_ron).collect::<Result<Vec<String>>>()?;
     let shadows = session.has_visibility()?;
-    let (views, mut cameras): (Vec<Entity>, Vec<PageCamera>) =
-        page_cameras(&mut session.pipeline.world).into_iter().unzip();
+    // Those held out first, each group by name.
+    let mut query = session.pipeline.world.query::<(Entity, &ViewName, &Camera, &Split)>();
+    let camera = |(view, name, camera, split): (Entity, &ViewName, &Camera, &Split)| {
+        (view, PageCamera { name: name.0.clone(), split: *split, camera: *camera, photograph: None })
+    };
+    let mut all: Vec<_> = query.iter(&session.pipeline.world).map(camera).collect();
+    all.sort_by_cached_key(|(_, camera)| (camera.split != Split::Test, camera.name.clone()));
+    let (views, mut cameras): (Vec<_>, Vec<_>) = all.into_iter().unzip();
     let embedded = add_photographs(&session.pipeline.world, &views, &mut cameras, pass.photographs as usize)?;
     let world = &mut session.pipeline.world;
     let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
@@ -72,24 +76,9 @@ pub(crate) fn write_page(
     let text = html(&contents)?;
     write_bytes(path, text.as_bytes())?;
     let mib = text.len() as f64 / 1048576.0;
-    let with = match embedded {
-        0 => String::new(),
-        1 => ", 1 photograph".to_owned(),
-        count => format!(", {count} photographs"),
-    };
+    let with = if embedded > 0 { format!(", {}", counted(embedded, "photograph")) } else { String::new() };
     session.progress.print(&format!("{}: {}{with}, {mib:.1} MiB", pass.name, path.display()));
     Ok(())
-}
-
-/// The cameras of all views: those held out first, each group by name.
-fn page_cameras(world: &mut World) -> Vec<(Entity, PageCamera)> {
-    let mut query = world.query::<(Entity, &ViewName, &Camera, &Split)>();
-    let camera = |(view, name, camera, split): (Entity, &ViewName, &Camera, &Split)| {
-        (view, PageCamera { name: name.0.clone(), split: *split, camera: *camera, photograph: None })
-    };
-    let mut cameras: Vec<(Entity, PageCamera)> = query.iter(world).map(camera).collect();
-    cameras.sort_by_cached_key(|(_, camera)| (camera.split != Split::Test, camera.name.clone()));
-    cameras
 }
 
 /// Bytes of all photographs of a page, about; addresses take a third more.
@@ -99,13 +88,8 @@ const MOST_BYTES: usize = 3_000_000;
 /// Part of the longer side of the object's window that is added around it.
 const MARGIN: f32 = 0.04;
 
-/// Adds photographs to at most `most` of the cameras, which are of these views: held-out views first, evenly chosen. Returns to how many.
-fn add_photographs(
-    world: &World,
-    views: &[Entity],
-    cameras: &mut [PageCamera],
-    most: usize,
-) -> Result<usize> {
+/// Adds photographs to at most `max` of the cameras, which are of these views: held-out views first, evenly chosen. Returns to how many.
+fn add_photographs(world: &World, views: &[Entity], cameras: &mut [PageCamera], max: usize) -> Result<usize> {
     // They can be compared with what the scene's own light shows.
     let is_under_own_light = |view: Entity| {
         let (all, own) = (world.get_resource::<Placements>(), world.get::<Placement>(view));
@@ -117,9 +101,9 @@ fn add_photographs(
     };
     let mut chosen = Vec::new();
     for split in [Split::Test, Split::Train] {
-        let there: Vec<usize> =
-            (0..views.len()).filter(|i| cameras[*i].split == split && is_there(views[*i])).collect();
-        chosen.extend(choose_evenly(there.len(), most - chosen.len()).into_iter().map(|i| there[i]));
+        let there: Vec<_> =
+            (0..views.len()).filter(|&i| cameras[i].split == split && is_there(views[i])).collect();
+        chosen.extend(choose_evenly(there.len(), max - chosen.len()).into_iter().map(|i| there[i]));
     }
     let side = side_within(chosen.len(), BUDGET);
     let (mut bytes, mut count) = (0, 0);
@@ -141,7 +125,15 @@ pub(crate) fn embedded(world: &World, view: Entity, side: u32) -> Result<Option<
     let Some(photograph) = world.get::<Photograph>(view) else { return Ok(None) };
     let mask = world.get::<ViewMask>(view).map(|mask| &mask.0).filter(|mask| !mask.is_full());
     let window = match mask {
-        Some(mask) => around(mask.window(), photograph.size()),
+        // With a margin, as far as the picture reaches.
+        Some(mask) => {
+            let (PixelWindow { x, y, width, height }, size) = (mask.window(), photograph.size());
+            let margin = (MARGIN * width.max(height) as f32).ceil() as u32;
+            let (left, top) = (x.saturating_sub(margin), y.saturating_sub(margin));
+            let [right, bottom] = [x + width, y + height].map(|end| end + margin);
+            let (width, height) = (right.min(size[0]) - left, bottom.min(size[1]) - top);
+            PixelWindow { x: left, y: top, width, height }
+        }
         None => photograph.window(),
     };
     if window.is_empty() || mask.is_some_and(|mask| mask.window().is_empty()) {
@@ -160,15 +152,6 @@ pub(crate) fn embedded(world: &World, view: Entity, side: u32) -> Result<Option<
     let size = coverage.dimensions().into();
     let coverage = mask.map(|_| coverage.into_raw());
     Ok(Some(PagePhotograph { window, size, address: jpeg_address(&jpeg), coverage }))
-}
-
-/// The window with a margin, as far as the picture reaches.
-fn around(window: PixelWindow, [width, height]: [u32; 2]) -> PixelWindow {
-    let margin = (MARGIN * window.width.max(window.height) as f32).ceil() as u32;
-    let (x, y) = (window.x.saturating_sub(margin), window.y.saturating_sub(margin));
-    let right = (window.x + window.width + margin).min(width);
-    let bottom = (window.y + window.height + margin).min(height);
-    PixelWindow { x, y, width: right - x, height: bottom - y }
 }
 
 #[cfg(test)]

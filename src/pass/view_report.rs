@@ -1,21 +1,17 @@
 //! How each view came out, and what went wrong: `views.csv`, and the warnings of `metrics.json`.
 
-use crate::pass::run::session::Session;
 use crate::report::scores::{EvalView, ViewOutcome};
-use crate::survey::named;
+use crate::{pass::run::session::Session, survey::named};
 use bevy_ecs::prelude::{Entity, With};
-use lobelia_geometry::error::Result;
-use lobelia_geometry::mesh::Surface;
 use lobelia_geometry::view::{Camera, Photograph, Split, StoredMask, ViewIndex, ViewMask, ViewName};
+use lobelia_geometry::{error::Result, mesh::Surface};
 use lobelia_io::codec::file::write_bytes;
 use lobelia_sg::statistics::median;
-use lobelia_solve::fit::guard::StepGuard;
-use lobelia_solve::fit::loss::{ViewSum, ViewSums, is_outlier};
+use lobelia_solve::fit::{guard::StepGuard, loss::ViewSum, loss::ViewSums, loss::is_outlier};
 use lobelia_world::light::{LightLobe, groups::other_lights, lights::own_lobes};
 use rayon::prelude::*;
-use std::collections::{HashMap, HashSet};
 use std::fmt::Write as _;
-use std::path::Path;
+use std::{collections::HashMap, collections::HashSet, path::Path};
 
 /// The report, in the folder of an `Evaluate`.
 pub const VIEWS: &str = "views.csv";
@@ -28,16 +24,6 @@ const DISAGREES: f64 = 0.6;
 const OUTLIERS: f64 = 0.5;
 /// Radiance of a lobe beyond this, relative to the photographs, is no light that they show.
 const RUNAWAY: f32 = 1e4;
-
-/// How a view of the first score came out.
-pub(super) struct ScoredOutcome {
-    /// The view: names repeat, as those of training and test views.
-    pub view: Entity,
-    /// PSNR as it is scored, in dB.
-    pub psnr: f64,
-    /// Share of outliers of the prediction as it is scored.
-    pub outliers: Option<f64>,
-}
 
 /// Notes how the training views came out of a fit, and what went wrong in it.
 pub(super) fn note_fit(session: &mut Session) {
@@ -70,16 +56,14 @@ pub(super) fn warn(session: &mut Session, warning: String) {
     }
 }
 
-/// The views with photographs that are wanted, in the order of their numbers, with their masks beside the
-/// surface.
+/// The views with photographs that are wanted, in the order of their numbers, with their masks beside the surface.
 fn silhouettes(
     session: &mut Session,
     wanted: impl Fn(Entity, Split) -> bool,
 ) -> Vec<(Entity, ViewIndex, ViewOutcome)> {
     let world = &mut session.pipeline.world;
     let mut query = world.query_filtered::<(Entity, &ViewIndex, &Split), With<Photograph>>();
-    let mut views: Vec<(Entity, ViewIndex, Split)> =
-        query.iter(world).map(|(view, index, split)| (view, *index, *split)).collect();
+    let mut views: Vec<_> = query.iter(world).map(|(view, index, split)| (view, *index, *split)).collect();
     views.retain(|(view, _, split)| wanted(*view, *split));
     views.sort_by_key(|(_, index, _)| *index);
     let (world, surface) = (&session.pipeline.world, &session.surface);
@@ -137,17 +121,14 @@ fn warnings(views: &[(ViewOutcome, ViewSum)], lobes: &[LightLobe]) -> Vec<String
     let mut shares: Vec<f32> = views.iter().filter_map(|(view, _)| Some(view.outliers? as f32)).collect();
     let usual = f64::from(median(&mut shares).unwrap_or(0.0));
     let wrong = names(&|view, _| view.outliers.is_some_and(|share| share > OUTLIERS && share > 2.0 * usual));
-    add(&wrong, &|views| {
-        format!("most pixels of {views} are not explained: a wrong pose, mask or exposure?")
-    });
+    add(&wrong, &|of| format!("most pixels of {of} are not explained: a wrong pose, mask or exposure?"));
     found.extend(runaway(lobes, views));
     found
 }
 
 /// A light that is brighter than anything that photographs of this brightness can show.
 fn runaway(lobes: &[LightLobe], views: &[(ViewOutcome, ViewSum)]) -> Option<String> {
-    let (sum, pixels) =
-        views.iter().fold((0.0, 0), |(sum, pixels), (_, view)| (sum + view.observed, pixels + view.pixels));
+    let (sum, pixels) = views.iter().fold((0.0, 0), |(sum, n), (_, of)| (sum + of.observed, n + of.pixels));
     let usual = (sum / pixels.max(1) as f64).max(1e-6) as f32;
     // A lobe's light is its amplitude over its solid angle, about 2π over its sharpness.
     let light = |lobe: &LightLobe| {
@@ -156,10 +137,8 @@ fn runaway(lobes: &[LightLobe], views: &[(ViewOutcome, ViewSum)]) -> Option<Stri
     let (number, brightest) =
         lobes.iter().map(light).enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| pixels > 0)?;
     (brightest > RUNAWAY * usual).then(|| {
-        format!(
-            "light lobe {number} ran away: it gives {:.0} times the light of the photographs",
-            brightest / usual
-        )
+        let times = brightest / usual;
+        format!("light lobe {number} ran away: it gives {times:.0} times the light of the photographs")
     })
 }
 
@@ -171,17 +150,19 @@ pub(super) fn outlier_share(view: &EvalView, predicted: &[glam::Vec3]) -> Option
     (counted > 0).then(|| outliers as f64 / counted as f64)
 }
 
+/// PSNR in dB of views of the first score, as it is scored, and the share of outliers of their predictions. By the view: names repeat,
+/// as those of training and test views.
+type Outcomes = HashMap<Entity, (f64, Option<f64>)>;
+
 /// Adds scored views that no fit has told of, in place of those that an earlier `Evaluate` has told of, and writes the report of all views.
-pub(super) fn write(session: &mut Session, folder: &Path, scored: &[ScoredOutcome]) -> Result<()> {
-    let scored: HashMap<Entity, &ScoredOutcome> =
-        scored.iter().rev().map(|scored| (scored.view, scored)).collect();
+pub(super) fn write(session: &mut Session, folder: &Path, scored: &Outcomes) -> Result<()> {
     // Those of a fit say how many pixels it may visit.
     session.scores.views.retain(|view| view.pixels.is_some());
     let key = |view: &ViewOutcome| (view.name.clone(), view.split.clone());
     let mut known: HashSet<(String, String)> = session.scores.views.iter().map(key).collect();
     for (view, _, outcome) in silhouettes(session, |view, _| scored.contains_key(&view)) {
-        let found = scored[&view];
-        let outcome = ViewOutcome { psnr: Some(found.psnr), outliers: found.outliers, ..outcome };
+        let (psnr, outliers) = scored[&view];
+        let outcome = ViewOutcome { psnr: Some(psnr), outliers, ..outcome };
         if known.insert(key(&outcome)) {
             session.scores.views.push(outcome);
         }
@@ -236,8 +217,7 @@ mod tests {
         let good = || ["a", "b", "c"].iter().map(|name| view(name, 0.95, 0.02)).collect::<Vec<_>>();
         let lobes = |amplitude| [lobe(0.1), lobe(amplitude)];
         assert!(warnings(&good(), &lobes(3.0)).is_empty() && warnings(&[], &[]).is_empty());
-        let with =
-            |bad: (ViewOutcome, ViewSum)| warnings(&[good(), vec![bad]].concat(), &lobes(3.0)).join("\n");
+        let with = |bad| warnings(&[good(), vec![bad]].concat(), &lobes(3.0)).join("\n");
         let (outcome, sum) = view("d", 0.95, 0.02);
         assert!(with((outcome, ViewSum { pool: 0, ..sum })).contains("no pixel of view `d` was used"));
         let stray = with(view("d", 0.3, 0.02));

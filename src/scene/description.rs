@@ -3,15 +3,12 @@
 //! Unless a field says otherwise, lengths are in the data set's own unit, colors are linear Rec. 709 and
 //! paths may begin with `$DATA` (the folder given by `--data`) or are relative to the scene file.
 
-use crate::scene::passes::Pass;
-use crate::scene::views::Views;
+use crate::scene::{Pass, Views};
 use glam::Vec3;
 use lobelia_io::codec::npy::NpyConvention;
 use lobelia_sg::brdf::Ndf;
 use lobelia_solve::fit::scale::ScaleRule;
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::convention::MapConvention;
-use lobelia_world::light::light_frame::LightFrame;
+use lobelia_world::light::{LightLobe, convention::MapConvention, light_frame::LightFrame};
 use lobelia_world::material::SpecularLobe;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -156,9 +153,19 @@ pub enum Light {
     Fixed(LightSource),
 }
 
+impl Light {
+    /// The light that is given, if one is.
+    pub fn source(&self) -> Option<&LightSource> {
+        match self {
+            Self::Initial(source) | Self::Fixed(source) => Some(source),
+            Self::Unknown(_) => None,
+        }
+    }
+}
+
 impl Default for Light {
     fn default() -> Self {
-        Self::Unknown(UnknownLight::default())
+        Self::Unknown(UnknownLight { lobes: 128 })
     }
 }
 
@@ -202,16 +209,11 @@ impl From<LightFrame> for LightFrameChoice {
 
 /// A light that is not known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[serde(deny_unknown_fields)]
 pub struct UnknownLight {
     /// How many SG lobes to fit, 1 to 2048. Default 128.
+    #[serde(default = "number::<128>")]
     pub lobes: u32,
-}
-
-impl Default for UnknownLight {
-    fn default() -> Self {
-        Self { lobes: 128 }
-    }
 }
 
 /// A light that is given.
@@ -279,6 +281,18 @@ pub enum LightSource {
         #[serde(default)]
         white: bool,
     },
+}
+
+impl LightSource {
+    /// Its factor on the radiance and its turn in degrees.
+    pub fn scale_and_turn(&self) -> (f32, Vec3) {
+        match self {
+            Self::Lobes { scale, rotation_degrees, .. }
+            | Self::Npy { scale, rotation_degrees, .. }
+            | Self::Ron { scale, rotation_degrees, .. }
+            | Self::Map { scale, rotation_degrees, .. } => (*scale, *rotation_degrees),
+        }
+    }
 }
 
 /// The material, known or unknown in each part.
@@ -375,19 +389,7 @@ pub enum NdfChoice {
 impl NdfChoice {
     /// Returns the distribution that a fit begins with, and that all else has.
     pub fn first(self) -> Ndf {
-        match self {
-            Self::Auto | Self::Sg => Ndf::Sg,
-            Self::Ggx => Ndf::Ggx,
-        }
-    }
-}
-
-impl From<Ndf> for NdfChoice {
-    fn from(known: Ndf) -> Self {
-        match known {
-            Ndf::Sg => Self::Sg,
-            Ndf::Ggx => Self::Ggx,
-        }
+        if self == Self::Ggx { Ndf::Ggx } else { Ndf::Sg }
     }
 }
 

@@ -2,10 +2,9 @@
 
 use crate::scene::ron_tree::{Body, Node, SyntaxError};
 use lobelia_geometry::error::{Error, Fault, Label, SceneDiagnostic};
+use lobelia_io::codec::nearby::closest;
 use ron::error::{Error as Ron, Position, SpannedError};
-use std::ops::Range;
-use std::path::Path;
-use std::sync::Arc;
+use std::{ops::Range, path::Path, sync::Arc};
 
 /// A value of a scene file that is of the right type and yet wrong.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,7 +55,7 @@ impl SceneText<'_> {
     /// Values that are wrong, all at once.
     pub fn problems(&self, root: Option<&Node>, problems: Vec<Problem>) -> Error {
         let place = |path: &str| root.map_or(0..0, |root| root.locate(self.text, path).0);
-        let mut faults: Vec<Fault> =
+        let mut faults: Vec<_> =
             problems.into_iter().map(|p| fault(p.problem, place(&p.path), p.expected, &p.help)).collect();
         faults.sort_by_key(|fault| fault.labels[0].at.start);
         self.error(faults)
@@ -69,7 +68,7 @@ impl SceneText<'_> {
         let fault = match &error.code {
             Ron::NoSuchStructField { expected, found, outer } => fault(
                 format!("unknown field `{found}`{}", within(outer)),
-                self.field_before(root, found, at.end),
+                self.word_before(found, at.end),
                 "not a field here",
                 &choices("fields", found, expected),
             ),
@@ -87,7 +86,7 @@ impl SceneText<'_> {
             ),
             Ron::DuplicateStructField { field, outer } => fault(
                 format!("field `{field}` is given twice{}", within(outer)),
-                self.field_before(root, field, at.end),
+                self.word_before(field, at.end),
                 "second time",
                 "Remove one of the two.",
             ),
@@ -115,11 +114,6 @@ impl SceneText<'_> {
         let start: usize = lines.map(str::len).sum();
         let rest = &self.text[start..];
         start + rest.char_indices().nth(position.col.saturating_sub(1)).map_or(rest.len(), |(at, _)| at)
-    }
-
-    fn field_before(&self, root: &Node, name: &str, end: usize) -> Range<usize> {
-        let same = |range: &Range<usize>| &self.text[range.clone()] == name && range.start <= end;
-        root.field_names().into_iter().filter(same).max_by_key(|range| range.start).unwrap_or(end..end)
     }
 
     fn word_before(&self, word: &str, end: usize) -> Range<usize> {
@@ -204,25 +198,9 @@ fn choices(kind: &str, found: &str, expected: &[&str]) -> String {
         _ => "",
     };
     let all = expected.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
-    let near = nearest(found, expected.iter().copied());
-    let near = near.map_or(String::new(), |name| format!("Did you mean `{name}`? "));
+    let near = closest(found, expected.iter().copied());
+    let near = near.first().map_or(String::new(), |name| format!("Did you mean `{name}`? "));
     format!("{instead}{near}The {kind} are: {all}.")
-}
-
-/// The candidate with the fewest changed letters, if that is at most a third of them (rounded up).
-pub fn nearest<'a>(found: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    // No name is so long, and comparing takes time in proportion to the length.
-    if found.len() > 1000 {
-        return None;
-    }
-    let found_lower = found.to_lowercase();
-    let limit = found.chars().count().div_ceil(3);
-    candidates
-        .into_iter()
-        .map(|candidate| (strsim::levenshtein(&found_lower, &candidate.to_lowercase()), candidate))
-        .filter(|(distance, _)| *distance <= limit)
-        .min_by_key(|(distance, _)| *distance)
-        .map(|(_, candidate)| candidate)
 }
 
 #[cfg(test)]
@@ -230,19 +208,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nearest_finds_slips_and_leaves_strangers() {
-        assert_eq!(nearest("rougness", ["albedo", "roughness"]), Some("roughness"));
-        assert_eq!(nearest("published", ["Published", "PathTraced"]), Some("Published"));
-        assert_eq!(nearest("colour", ["path", "scale"]), None);
-    }
-
-    #[test]
     fn long_texts_lose_their_middle() {
         assert_eq!(shortened("fine".into(), 4), "fine");
         let short = shortened(format!("unknown field `{}é`", "ü".repeat(65_536)), 300);
         assert!(short.starts_with("unknown field `üü") && short.ends_with("üé`"), "{short}");
         assert_eq!(short.chars().count(), 200 + 3 + 50);
-        assert_eq!(nearest(&"x".repeat(1001), ["x"]), None);
     }
 
     #[test]

@@ -1,11 +1,7 @@
 //! Reading a scene file: `--set`, parsing, paths and checks, each error with a caret. Nothing is written.
 
-use crate::scene::description::{Scene, VERSION};
 use crate::scene::diagnostic::{Problem, SceneText};
-use crate::scene::render::Edit;
-use crate::scene::ron_tree::{self, Node};
-use crate::scene::source::set;
-use crate::scene::validate::check;
+use crate::scene::{Edit, Scene, VERSION, ron_tree, ron_tree::Node, source::set, validate::check};
 use lobelia_geometry::{Error, Result};
 use lobelia_io::codec::file::{FileKind, MOST_TEXT, obstacle, read_text};
 use ron::extensions::Extensions;
@@ -32,8 +28,6 @@ pub struct LoadedScene {
     pub scene: Scene,
     /// The scene file.
     pub path: PathBuf,
-    /// The folder that relative paths start from.
-    pub base_dir: PathBuf,
     /// The text that was read, with `--set` applied.
     pub text: String,
     /// The files and folders that the scene needs, in the order of the scene file; all were found.
@@ -55,9 +49,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
         return Err(Error::usage(problem, "Give the folder that `$DATA` stands for."));
     }
     let help = |path: &Path| match path.is_dir() {
-        true => {
-            format!("Give a scene file; `lobelia new {}` writes one for a folder of data.", path.display())
-        }
+        true => format!("Give a scene file; `lobelia new {}` writes one for a folder.", path.display()),
         false => "Give a scene file, e.g. scenes/quickstart.ron.".to_owned(),
     };
     let mut text = read_text(path, MOST_TEXT, help)?;
@@ -70,13 +62,11 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
     if let Some(seed) = options.seed {
         scene.seed = seed;
     }
-    let base_dir = path.parent().map_or_else(PathBuf::new, Path::to_owned);
-    let found = check(&mut scene, &base_dir, options);
+    let found = check(&mut scene, path.parent().unwrap_or(Path::new("")), options);
     if !found.problems.is_empty() {
         return Err(words.problems(root.as_ref(), found.problems));
     }
-    let (path, files, unseen) = (path.to_owned(), found.files, found.unseen);
-    Ok(LoadedScene { scene, path, base_dir, text, files, unseen })
+    Ok(LoadedScene { scene, path: path.to_owned(), text, files: found.files, unseen: found.unseen })
 }
 
 /// The scene as RON text, laid out for people; it reads back to an equal scene.

@@ -19,23 +19,11 @@ mod source;
 mod validate;
 mod views;
 
-pub use description::{
-    Albedo, AlbedoSource, Gloss, Light, LightFrameChoice, LightSource, Material, NdfChoice, Roughness, Scene,
-    Sheen, Specular, SpecularAlbedo, Surface, Tilt, UnknownLight, VERSION, Visibility,
-};
+pub use description::*;
 pub use load::{LoadOptions, LoadedScene, load, to_ron};
-pub use passes::{
-    EditPass, EvaluatePass, ExportPass, ExportScale, ExportUp, FitPass, FitShading, GridLevel, LayerTruth,
-    MeshFormat, Pass, Rates, RelightPass, RenderPass, SavePass, Score, ScoreScale, ShapePass, Truth, VIEW,
-    ViewPass,
-};
-pub use render::{
-    ColorAction, DiffuseAction, Easing, Edit, LightSweep, MaterialSweep, Orbit, OrbitKey, Region,
-    RenderSettings, ScalarAction, Shading, ViewChoice,
-};
+pub use passes::*;
+pub use render::*;
 pub use source::fields;
 pub(crate) use validate::uses_published;
 pub use validate::{MIN_ROUGHNESS, unknown_parts};
-pub use views::{
-    CameraRing, CameraSpec, Dataset, Pattern, Photographed, PlacementLight, PlacementSpec, TruthObject, Views,
-};
+pub use views::*;

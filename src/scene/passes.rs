@@ -1,13 +1,10 @@
 //! Entries of a scene file's `passes` list.
 
-use crate::scene::description::{LightSource, number};
-use crate::scene::render::{Edit, RenderSettings};
+use crate::scene::{Edit, LightSource, RenderSettings, number};
 use lobelia_sg::accurate::Quality;
-use lobelia_solve::fit::cameras::CameraUnknowns;
-use lobelia_solve::fit::exposure::ExposureChoice;
-use lobelia_solve::fit::loss::Loss;
+use lobelia_solve::fit::{cameras::CameraUnknowns, exposure::ExposureChoice, loss::Loss};
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// One step of the work. A pass writes into `OUT/<name>/`; names are unique and match `[A-Za-z0-9_-]+`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -19,9 +16,9 @@ pub enum Pass {
     /// Renders the object as it is.
     Render(RenderPass),
     /// Renders the object with a changed material; later passes see the unchanged one.
-    Edit(EditPass),
+    Edit(RenderPass),
     /// Renders the object under another light; later passes see the unchanged one.
-    Relight(RelightPass),
+    Relight(RenderPass),
     /// Scores earlier passes against the truth.
     Evaluate(EvaluatePass),
     /// Writes the object as a scene file with side files, which renders the same bits again.
@@ -38,9 +35,7 @@ impl Pass {
         match self {
             Self::Fit(pass) => &pass.name,
             Self::Shape(pass) => &pass.name,
-            Self::Render(pass) => &pass.name,
-            Self::Edit(pass) => &pass.name,
-            Self::Relight(pass) => &pass.name,
+            Self::Render(pass) | Self::Edit(pass) | Self::Relight(pass) => &pass.name,
             Self::Evaluate(pass) => &pass.name,
             Self::Save(pass) => &pass.name,
             Self::Export(pass) => &pass.name,
@@ -48,73 +43,41 @@ impl Pass {
         }
     }
 
-    /// The light that the pass brings, if it does.
-    pub fn light(&self) -> Option<&LightSource> {
+    fn rendered(&self) -> Option<&RenderPass> {
         match self {
-            Self::Edit(pass) => pass.light.as_ref(),
-            Self::Relight(pass) => Some(&pass.light),
+            Self::Render(pass) | Self::Edit(pass) | Self::Relight(pass) => Some(pass),
             _ => None,
         }
+    }
+
+    /// The light that the pass brings, if it does.
+    pub fn light(&self) -> Option<&LightSource> {
+        self.rendered()?.light.as_ref()
     }
 
     /// The edits that the pass makes before it renders.
     pub fn edits(&self) -> &[Edit] {
-        match self {
-            Self::Edit(pass) => &pass.edits,
-            Self::Relight(pass) => &pass.edits,
-            _ => &[],
-        }
+        self.rendered().map_or(&[], |pass| &pass.edits)
     }
 
     /// How the pass renders, if it renders.
     pub fn render(&self) -> Option<&RenderSettings> {
-        match self {
-            Self::Render(pass) => Some(&pass.render),
-            Self::Edit(pass) => Some(&pass.render),
-            Self::Relight(pass) => Some(&pass.render),
-            _ => None,
-        }
+        Some(&self.rendered()?.render)
     }
 }
 
-/// Renders the object as it is.
+/// Renders the object: as it is, with a changed material (`Edit`), or under another light (`Relight`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RenderPass {
     /// The pass's name.
     pub name: String,
-    /// Which pictures, and how.
+    /// Edits of the material, in order: at least one of an `Edit`, none of a `Render`. Default [].
     #[serde(default)]
-    pub render: RenderSettings,
-}
-
-/// Renders the object with a changed material, and optionally another light.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct EditPass {
-    /// The pass's name.
-    pub name: String,
-    /// The edits, in order.
     pub edits: Vec<Edit>,
-    /// The light; by default the scene's own.
+    /// The light, which a `Relight` must have and a `Render` cannot. Default: the scene's own.
     #[serde(default)]
     pub light: Option<LightSource>,
-    /// Which pictures, and how.
-    #[serde(default)]
-    pub render: RenderSettings,
-}
-
-/// Renders the object under another light, and optionally with a changed material.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RelightPass {
-    /// The pass's name.
-    pub name: String,
-    /// The light.
-    pub light: LightSource,
-    /// Edits of the material, in order. Default [].
-    #[serde(default)]
-    pub edits: Vec<Edit>,
     /// Which pictures, and how.
     #[serde(default)]
     pub render: RenderSettings,
@@ -386,23 +349,33 @@ pub enum LayerTruth {
 /// Placeholder for the name of a view in the path of a file.
 pub const VIEW: &str = "{view}";
 
+/// Where the ground truth of each view is: in a folder, by a path from there with [`VIEW`] for its name, or as files of a folder are
+/// usually called.
+#[derive(Clone, Copy, Debug)]
+pub struct TruthFiles<'a> {
+    /// The folder.
+    pub folder: &'a Path,
+    /// The path of each from there, if the scene says it.
+    pub file: Option<&'a str>,
+}
+
 impl Truth {
-    /// The folder of its files, and the path of each from there if the scene says it.
-    pub fn files(&self) -> Option<(&PathBuf, Option<&str>)> {
+    /// Its files, if it has some.
+    pub fn files(&self) -> Option<TruthFiles<'_>> {
         match self {
-            Self::Folder(folder) => Some((folder, None)),
-            Self::Files { folder, file } => Some((folder, Some(file))),
+            Self::Folder(folder) => Some(TruthFiles { folder, file: None }),
+            Self::Files { folder, file } => Some(TruthFiles { folder, file: Some(file) }),
             Self::Photographs | Self::SelfMade { .. } => None,
         }
     }
 }
 
 impl LayerTruth {
-    /// The folder of its files, and the path of each from there if the scene says it.
-    pub fn files(&self) -> Option<(&PathBuf, Option<&str>)> {
+    /// Its files, if it has some.
+    pub fn files(&self) -> Option<TruthFiles<'_>> {
         match self {
-            Self::Folder(folder) => Some((folder, None)),
-            Self::Files { folder, file } => Some((folder, Some(file))),
+            Self::Folder(folder) => Some(TruthFiles { folder, file: None }),
+            Self::Files { folder, file } => Some(TruthFiles { folder, file: Some(file) }),
             Self::SelfMade => None,
         }
     }
@@ -478,12 +451,6 @@ pub enum ExportScale {
     Factor(f32),
     /// The longest side of the object's box is this long, > 0.
     Size(f32),
-}
-
-impl Default for ExportScale {
-    fn default() -> Self {
-        Self::Factor(1.0)
-    }
 }
 
 impl Default for ExportPass {

@@ -1,7 +1,6 @@
 //! How a pass renders: which views and shading, how the pictures look, films, and edits of the material.
 
-use crate::report::tone::Tone;
-use crate::scene::description::{number, yes};
+use crate::{report::tone::Tone, scene::number, scene::yes};
 use glam::Vec3;
 use lobelia_sg::accurate::Quality;
 use serde::{Deserialize, Serialize};
@@ -231,7 +230,7 @@ pub enum Edit {
     /// Changes the diffuse albedo.
     Diffuse {
         /// The change of the diffuse albedo.
-        action: DiffuseAction,
+        action: ColorAction,
         /// Where. Default `All`.
         #[serde(default)]
         region: Region,
@@ -263,27 +262,8 @@ impl Edit {
     }
 }
 
-/// Change of the diffuse albedo; results are clamped to [0, 1].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub enum DiffuseAction {
-    /// Replaces it: `Set(0.8, 0.1, 0.1)`, in [0, 1].
-    Set(Vec3),
-    /// Multiplies it: `Scale(1.2, 1, 1)`, ≥ 0.
-    Scale(Vec3),
-    /// Moves it toward a color: old + weight (color − old).
-    Blend {
-        /// The color, in [0, 1].
-        color: Vec3,
-        /// In [0, 1].
-        weight: f32,
-    },
-    /// Replaces it by an image in texture space: PNG (sRGB) or EXR (linear); must exist. `Texture("paint.png")`.
-    Texture(PathBuf),
-}
-
 /// Change of a color; results are clamped to [0, 1].
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum ColorAction {
     /// Replaces it: `Set(0.9, 0.65, 0.3)`, in [0, 1].
@@ -297,6 +277,8 @@ pub enum ColorAction {
         /// In [0, 1].
         weight: f32,
     },
+    /// Replaces the diffuse albedo by an image in texture space: PNG (sRGB) or EXR (linear); must exist. `Texture("paint.png")`.
+    Texture(PathBuf),
 }
 
 /// Change of the roughness; results are clamped to [0.03, 1].
@@ -364,10 +346,7 @@ mod tests {
     #[test]
     fn easings_begin_and_end_alike() {
         for easing in [Easing::Linear, Easing::Smooth, Easing::In, Easing::Out, Easing::Hold] {
-            assert_eq!(
-                (easing.at(-1.0), easing.at(0.0), easing.at(1.0), easing.at(2.0)),
-                (0.0, 0.0, 1.0, 1.0)
-            );
+            assert_eq!([-1.0, 0.0, 1.0, 2.0].map(|t| easing.at(t)), [0.0, 0.0, 1.0, 1.0]);
         }
         let early = |easing: Easing| easing.at(0.25);
         assert_eq!(early(Easing::Linear), 0.25);

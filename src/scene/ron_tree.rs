@@ -37,8 +37,6 @@ pub enum Body {
     Fields(Vec<(Range<usize>, Node)>),
     /// `[…]`, or `(value, …)`.
     Items(Vec<Node>),
-    /// `{key: value, …}`.
-    Map(Vec<(Node, Node)>),
 }
 
 /// Text that is not RON.
@@ -51,6 +49,9 @@ pub struct SyntaxError {
     /// The bracket or quote that is still open there.
     pub open: Option<Range<usize>>,
 }
+
+/// What was read, or the first place where the text is not RON.
+type Read<T> = Result<T, SyntaxError>;
 
 impl Node {
     /// The name before `(`, or the bare identifier.
@@ -84,16 +85,6 @@ impl Node {
         }
     }
 
-    /// The values directly inside this one, in order.
-    pub fn children(&self) -> Vec<&Node> {
-        match &self.body {
-            Body::Plain | Body::Text(_) => Vec::new(),
-            Body::Fields(fields) => fields.iter().map(|(_, value)| value).collect(),
-            Body::Items(items) => items.iter().collect(),
-            Body::Map(entries) => entries.iter().flat_map(|(key, value)| [key, value]).collect(),
-        }
-    }
-
     /// The innermost value with a body of a kind whose bytes contain `at`; this one if there is none.
     pub fn innermost(&self, at: usize, is_wanted: impl Fn(&Body) -> bool) -> &Node {
         let (mut best, mut here) = (self, Some(self));
@@ -101,16 +92,14 @@ impl Node {
             if is_wanted(&node.body) {
                 best = node;
             }
-            here = node.children().into_iter().find(|child| child.span.contains(&at));
+            let contains = |child: &&Node| child.span.contains(&at);
+            here = match &node.body {
+                Body::Plain | Body::Text(_) => None,
+                Body::Fields(fields) => fields.iter().map(|(_, value)| value).find(contains),
+                Body::Items(items) => items.iter().find(contains),
+            };
         }
         best
-    }
-
-    /// The bytes of every field's name, here and further inside.
-    pub fn field_names(&self) -> Vec<Range<usize>> {
-        let own = if let Body::Fields(fields) = &self.body { fields.as_slice() } else { &[] };
-        let inside = self.children().into_iter().flat_map(Node::field_names);
-        own.iter().map(|field| field.0.clone()).chain(inside).collect()
     }
 
     /// A short range that stands for the value in a message: itself, or its name or opening bracket if it is long.
@@ -129,17 +118,11 @@ impl Node {
             Body::Items(items) => match step.parse::<usize>() {
                 Ok(index) => items.get(index),
                 Err(_) => items.iter().find(|item| item.own_name(text) == Some(step)).or_else(|| {
-                    let is_kind =
-                        |item: &&Node| item.name(text).is_some_and(|n| n.eq_ignore_ascii_case(step));
+                    let is_kind = |of: &&Node| of.name(text).is_some_and(|n| n.eq_ignore_ascii_case(step));
                     let mut of_kind = items.iter().filter(is_kind);
                     of_kind.next().filter(|_| of_kind.next().is_none())
                 }),
             },
-            Body::Map(entries) => {
-                let is_key =
-                    |key: &Node| matches!(&key.body, Body::Text(range) if &text[range.clone()] == step);
-                entries.iter().find(|(key, _)| is_key(key)).map(|(_, value)| value)
-            }
             Body::Plain | Body::Text(_) => None,
         }
     }
@@ -161,7 +144,7 @@ impl Node {
 ///
 /// # Errors
 /// The first place where the text is not RON.
-pub fn parse(text: &str) -> Result<Node, SyntaxError> {
+pub fn parse(text: &str) -> Read<Node> {
     let mut parser = Parser { text, at: 0, depth: 0, values: 0 };
     parser.skip_blank()?;
     while parser.rest().starts_with("#!") {
@@ -196,7 +179,7 @@ impl Parser<'_> {
     }
 
     /// Skips white space and comments.
-    fn skip_blank(&mut self) -> Result<(), SyntaxError> {
+    fn skip_blank(&mut self) -> Read<()> {
         loop {
             self.take_while(char::is_whitespace);
             if self.rest().starts_with("//") {
@@ -209,30 +192,24 @@ impl Parser<'_> {
         }
     }
 
-    fn skip_block_comment(&mut self) -> Result<(), SyntaxError> {
+    fn skip_block_comment(&mut self) -> Read<()> {
         let open = self.at..self.at + 2;
         let mut depth = 0;
         loop {
             let rest = self.rest();
-            if rest.starts_with("/*") {
-                depth += 1;
-                self.at += 2;
-            } else if rest.starts_with("*/") {
-                depth -= 1;
-                self.at += 2;
-            } else {
-                let Some(next) = rest.chars().next() else {
-                    return Err(self.error("the comment's closing `*/`", Some(&open)));
-                };
-                self.at += next.len_utf8();
-            }
+            let (opens, closes) = (rest.starts_with("/*"), rest.starts_with("*/"));
+            let Some(next) = rest.chars().next() else {
+                return Err(self.error("the comment's closing `*/`", Some(&open)));
+            };
+            self.at += if opens || closes { 2 } else { next.len_utf8() };
+            depth += i32::from(opens) - i32::from(closes);
             if depth == 0 {
                 return Ok(());
             }
         }
     }
 
-    fn value(&mut self) -> Result<Node, SyntaxError> {
+    fn value(&mut self) -> Read<Node> {
         self.skip_blank()?;
         self.values += 1;
         if self.values > MAX_VALUES {
@@ -241,8 +218,11 @@ impl Parser<'_> {
         let start = self.at;
         let body = match self.peek() {
             Some('(') => self.group()?,
-            Some('[') => self.list()?,
-            Some('{') => self.map()?,
+            Some('[') => {
+                let mut items = Vec::new();
+                self.bracket(']', |parser, _| parser.value().map(|item| items.push(item)))?;
+                Body::Items(items)
+            }
             Some('"') => self.quoted()?,
             Some('r') if self.starts_raw() => self.quoted()?,
             Some(c) if c.is_alphabetic() || c == '_' => {
@@ -281,8 +261,8 @@ impl Parser<'_> {
     fn bracket(
         &mut self,
         close: char,
-        mut read: impl FnMut(&mut Self, &Range<usize>) -> Result<(), SyntaxError>,
-    ) -> Result<(), SyntaxError> {
+        mut read: impl FnMut(&mut Self, &Range<usize>) -> Read<()>,
+    ) -> Read<()> {
         if self.depth == MAX_DEPTH {
             return Err(self.error("fewer brackets inside each other", None));
         }
@@ -311,7 +291,7 @@ impl Parser<'_> {
         Ok(())
     }
 
-    fn group(&mut self) -> Result<Body, SyntaxError> {
+    fn group(&mut self) -> Read<Body> {
         let (mut fields, mut items) = (Vec::new(), Vec::new());
         self.bracket(')', |parser, open| {
             match parser.field_name()? {
@@ -325,7 +305,7 @@ impl Parser<'_> {
     }
 
     /// Consumes `name:` if that is what follows.
-    fn field_name(&mut self) -> Result<Option<Range<usize>>, SyntaxError> {
+    fn field_name(&mut self) -> Read<Option<Range<usize>>> {
         let start = self.at;
         if self.peek().is_some_and(|c| c.is_alphabetic() || c == '_') && !self.starts_raw() {
             let name = self.identifier();
@@ -339,36 +319,12 @@ impl Parser<'_> {
         Ok(None)
     }
 
-    fn list(&mut self) -> Result<Body, SyntaxError> {
-        let mut items = Vec::new();
-        self.bracket(']', |parser, _| {
-            items.push(parser.value()?);
-            Ok(())
-        })?;
-        Ok(Body::Items(items))
-    }
-
-    fn map(&mut self) -> Result<Body, SyntaxError> {
-        let mut entries = Vec::new();
-        self.bracket('}', |parser, open| {
-            let key = parser.value()?;
-            parser.skip_blank()?;
-            if parser.peek() != Some(':') {
-                return Err(parser.error("`:` after the key", Some(open)));
-            }
-            parser.at += 1;
-            entries.push((key, parser.value()?));
-            Ok(())
-        })?;
-        Ok(Body::Map(entries))
-    }
-
     /// Whether a raw string (`r"`, `r#"`) follows, rather than an identifier.
     fn starts_raw(&self) -> bool {
         self.rest().strip_prefix('r').is_some_and(|rest| rest.trim_start_matches('#').starts_with('"'))
     }
 
-    fn quoted(&mut self) -> Result<Body, SyntaxError> {
+    fn quoted(&mut self) -> Read<Body> {
         let start = self.at;
         self.take_while(|c| c != '"');
         let is_raw = self.at > start;

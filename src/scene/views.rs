@@ -1,13 +1,10 @@
 //! The views: photographs on disk, cameras alone, or photographs that the project takes itself.
 
-use crate::scene::description::{LightSource, fov_degrees, number, one, y_axis};
-use crate::scene::render::Edit;
+use crate::scene::{Edit, LightSource, fov_degrees, number, one, y_axis};
 use glam::Vec3;
 use lobelia_geometry::view::Split;
-use lobelia_io::codec::image::Gamma;
-use lobelia_io::dataset::{Layout, Priors};
-use lobelia_world::light::light_frame::LightFrame;
-use lobelia_world::material::SpecularLobe;
+use lobelia_io::{codec::image::Gamma, dataset::Layout, dataset::Priors};
+use lobelia_world::{light::light_frame::LightFrame, material::SpecularLobe};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 

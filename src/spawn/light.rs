@@ -4,17 +4,15 @@
 use crate::scene::{Light, LightSource, load::options};
 use glam::{EulerRot, Quat, Vec3};
 use lobelia_geometry::error::{Error, Result, stop::is_stopping};
-use lobelia_io::codec::envmap::{read_map_with_notes, write_map_exr};
 use lobelia_io::codec::npy::{NpyConvention, read_lobes, write_lobes};
-use lobelia_io::codec::{file, file::check_finite};
+use lobelia_io::codec::{envmap::read_map_with_notes, envmap::write_map_exr, file, file::check_finite};
 use lobelia_world::light::map_fit::{MOST_FITTED, MapFit, fit_map_with, target_of};
 use lobelia_world::light::{
     EnvironmentMap, LightLobe, convention::MapConvention, illuminate::MapLight, render_lobes, rotate_lobes,
     scale_lobes, validate_lobes, validate_map,
 };
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::{path::Path, path::PathBuf, sync::Arc};
 
 /// A light ready to shade with: lobes for closed forms, and the thing itself for path tracing.
 #[derive(Clone)]
@@ -32,32 +30,28 @@ pub struct LoadedLight {
 /// # Errors
 /// If a file is missing or wrong, or a lobe is.
 pub fn load_light(source: &LightSource) -> Result<LoadedLight> {
-    let turned = |lobes: &[LightLobe], scale: f32, degrees: Vec3| {
-        rotate_lobes(&scale_lobes(lobes, Vec3::splat(scale)), rotation(degrees))
+    let (scale, degrees) = source.scale_and_turn();
+    let turn = rotation(degrees);
+    let given = |lobes: &[LightLobe]| {
+        let lobes = rotate_lobes(&scale_lobes(lobes, Vec3::splat(scale)), turn);
+        LoadedLight { lobes, map: None, notes: Vec::new() }
     };
     let light = match source {
-        LightSource::Ron { path, scale, rotation_degrees } => {
-            return load_light(&inlined(path, *scale, *rotation_degrees)?);
+        LightSource::Ron { path, .. } => return load_light(&inlined(path, scale, degrees)?),
+        LightSource::Lobes { lobes, .. } => {
+            let unit = lobes.iter().map(|l| LightLobe { axis: l.axis.normalize_or(l.axis), ..*l });
+            given(&unit.collect::<Vec<_>>())
         }
-        LightSource::Lobes { lobes, scale, rotation_degrees } => {
-            let unit: Vec<LightLobe> =
-                lobes.iter().map(|l| LightLobe { axis: l.axis.normalize_or(l.axis), ..*l }).collect();
-            LoadedLight { lobes: turned(&unit, *scale, *rotation_degrees), map: None, notes: Vec::new() }
-        }
-        LightSource::Npy { path, convention, scale, rotation_degrees } => {
-            let lobes = read_lobes(path, *convention)?;
-            LoadedLight { lobes: turned(&lobes, *scale, *rotation_degrees), map: None, notes: Vec::new() }
-        }
-        LightSource::Map { path, scale, rotation_degrees, lobes, convention, upper_hemisphere, white } => {
+        LightSource::Npy { path, convention, .. } => given(&read_lobes(path, *convention)?),
+        LightSource::Map { path, lobes, convention, upper_hemisphere, white, .. } => {
             let (map, notes) = read_map_with_notes(path)?;
             let options = MapFit { upper_hemisphere: *upper_hemisphere, white: *white, ..MapFit::default() };
             let map = target_of(&convention.to_lobelia(map), &options);
             check_lit(path, &map)?;
-            let map = map.scaled(Vec3::splat(*scale));
+            let map = map.scaled(Vec3::splat(scale));
             validate_map(&map).map_err(|problem| unusable(format!("{}: {problem}", path.display())))?;
             let fitted = fit_map_with(&map, *lobes as usize, &options, &mut |_| {}, &is_stopping)?.lobes;
-            let turn = rotation(*rotation_degrees);
-            let map = if *rotation_degrees == Vec3::ZERO { map } else { map.rotated(turn) };
+            let map = if degrees == Vec3::ZERO { map } else { map.rotated(turn) };
             LoadedLight { lobes: rotate_lobes(&fitted, turn), map: Some(Arc::new(MapLight::new(map))), notes }
         }
     };
@@ -178,7 +172,11 @@ pub(crate) fn inlined(path: &Path, scale: f32, rotation_degrees: Vec3) -> Result
         return Err(bad_ron(path, "", problem.to_owned()));
     }
     *own_scale *= scale;
-    *own_degrees = turned_after(*own_degrees, rotation_degrees);
+    *own_degrees = if *own_degrees == Vec3::ZERO || rotation_degrees == Vec3::ZERO {
+        *own_degrees + rotation_degrees
+    } else {
+        angles(rotation(rotation_degrees) * rotation(*own_degrees))
+    };
     Ok(source)
 }
 
@@ -207,36 +205,26 @@ pub fn angles(turn: Quat) -> Vec3 {
     Vec3::new(x, y, z) * (180.0 / std::f32::consts::PI)
 }
 
-/// Angles of one turn after another, each about x, then y, then z.
-fn turned_after(first: Vec3, then: Vec3) -> Vec3 {
-    if first == Vec3::ZERO || then == Vec3::ZERO {
-        return first + then;
-    }
-    angles(rotation(then) * rotation(first))
-}
-
 /// The light of a source.
 fn open(source: &LightSource) -> Result<(LightFile, Vec<String>)> {
-    let (light, notes, scale, degrees) = match source {
-        LightSource::Lobes { lobes, scale, rotation_degrees } => (
-            LightFile::Lobes(lobes.iter().map(with_unit_axis).collect()),
-            Vec::new(),
-            *scale,
-            *rotation_degrees,
-        ),
-        LightSource::Npy { path, convention, scale, rotation_degrees } => {
-            let lobes = read_lobes(path, *convention)?;
-            (LightFile::Lobes(lobes), Vec::new(), *scale, *rotation_degrees)
+    let (scale, degrees) = source.scale_and_turn();
+    let (light, notes) = match source {
+        LightSource::Lobes { lobes, .. } => {
+            (LightFile::Lobes(lobes.iter().map(with_unit_axis).collect()), Vec::new())
         }
-        LightSource::Map { path, scale, rotation_degrees, convention, .. } => {
+        LightSource::Npy { path, convention: of, .. } => {
+            (LightFile::Lobes(read_lobes(path, *of)?), Vec::new())
+        }
+        LightSource::Map { path, convention, .. } => {
             let (map, notes) = read_map(path, *convention)?;
-            (LightFile::Map(map), notes, *scale, *rotation_degrees)
+            (LightFile::Map(map), notes)
         }
-        LightSource::Ron { path, scale, rotation_degrees } => {
-            return open(&inlined(path, *scale, *rotation_degrees)?);
-        }
+        LightSource::Ron { path, .. } => return open(&inlined(path, scale, degrees)?),
     };
-    let light = light.scaled(scale);
+    let light = match light {
+        LightFile::Lobes(lobes) => LightFile::Lobes(scale_lobes(&lobes, Vec3::splat(scale))),
+        LightFile::Map(map) => LightFile::Map(map.scaled(Vec3::splat(scale))),
+    };
     Ok((if degrees == Vec3::ZERO { light } else { light.rotated(rotation(degrees)) }, notes))
 }
 
@@ -249,15 +237,6 @@ fn with_unit_axis(lobe: &LightLobe) -> LightLobe {
 }
 
 impl LightFile {
-    /// The light with its radiance multiplied by `factor` ≥ 0.
-    pub fn scaled(self, factor: f32) -> Self {
-        match self {
-            same if factor == 1.0 => same,
-            Self::Lobes(lobes) => Self::Lobes(scale_lobes(&lobes, Vec3::splat(factor))),
-            Self::Map(map) => Self::Map(map.scaled(Vec3::splat(factor))),
-        }
-    }
-
     /// The light turned: what came from direction d now comes from `turn * d`.
     pub fn rotated(self, turn: Quat) -> Self {
         match self {
@@ -313,10 +292,9 @@ pub(crate) fn to_ron(lobes: &[LightLobe]) -> String {
         String::from("// For a scene: light: Fixed(…) or Initial(…) around this.\nLobes(lobes: [\n");
     let three = |v: Vec3| format!("({:?}, {:?}, {:?})", v.x, v.y, v.z);
     for lobe in lobes {
-        let (axis, amplitude) = (three(lobe.axis), three(lobe.amplitude));
+        let (axis, color) = (three(lobe.axis), three(lobe.amplitude));
         // Writing to a `String` cannot fail.
-        let _ =
-            writeln!(text, "    (axis: {axis}, sharpness: {:?}, amplitude: {amplitude}),", lobe.sharpness);
+        let _ = writeln!(text, "    (axis: {axis}, sharpness: {:?}, amplitude: {color}),", lobe.sharpness);
     }
     text + "])\n"
 }
@@ -332,13 +310,10 @@ mod tests {
         let path = folder.path().join("light.ron");
         let text = "Lobes(lobes: [(axis: (0, 0, 1), sharpness: 9, amplitude: (1, 2, 3))], scale: 2, rotation_degrees: (30, 40, 50))";
         std::fs::write(&path, text).unwrap();
-        let source = LightSource::Ron {
-            path: path.clone(),
-            scale: 3.0,
-            rotation_degrees: Vec3::new(-20.0, 70.0, 10.0),
-        };
+        let rotation_degrees = Vec3::new(-20.0, 70.0, 10.0);
+        let source = LightSource::Ron { path: path.clone(), scale: 3.0, rotation_degrees };
         let loaded = load_light(&source).unwrap().lobes[0];
-        let axis = rotation(Vec3::new(-20.0, 70.0, 10.0)) * (rotation(Vec3::new(30.0, 40.0, 50.0)) * Vec3::Z);
+        let axis = rotation(rotation_degrees) * (rotation(Vec3::new(30.0, 40.0, 50.0)) * Vec3::Z);
         assert!(loaded.axis.distance(axis) < 1e-5, "{} {axis}", loaded.axis);
         assert!(loaded.amplitude.distance(Vec3::new(6.0, 12.0, 18.0)) < 1e-5);
         let bright = LightSource::Ron { path: path.clone(), scale: 1e30, rotation_degrees: Vec3::ZERO };

@@ -11,29 +11,21 @@ use crate::scene::{
 use crate::spawn::light::rotation;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
-use lobelia_geometry::mesh::{Surface, atlas::unwrap_mesh};
-use lobelia_geometry::view::{Split, ViewRecord, spawn_views};
+use lobelia_geometry::mesh::{Surface, atlas::unwrap_mesh, primitive::box_mesh, primitive::sphere_mesh};
+use lobelia_geometry::{error::Error, error::Result, view::Split, view::ViewRecord, view::spawn_views};
 use lobelia_io::codec::{gltf::import::read_mesh_with_report, gltf::material::read_material, texture};
 use lobelia_sg::brdf::Ndf;
-use lobelia_solve::fit::components::Unknowns;
-use lobelia_solve::fit::priors::{NormalMapPlugin, NormalWeight};
-use lobelia_solve::fit::roughness::{BASE_ROUGHNESSES, TexelRoughness};
-use lobelia_solve::shape::{
-    hull::{check_hull, extract_parts, visual_hull},
-    silhouette::Silhouette,
-};
+use lobelia_solve::fit::{components::Unknowns, roughness::BASE_ROUGHNESSES, roughness::TexelRoughness};
+use lobelia_solve::shape::hull::{check_hull, extract_parts, visual_hull};
+use lobelia_solve::{fit::priors::NormalMapPlugin, fit::priors::NormalWeight, shape::silhouette::Silhouette};
 use lobelia_world::light::placement::{LightGroup, PlacementTurn, Placements, TurnSource};
 use lobelia_world::light::{groups::spawn_group_lights, light_frame::OwnLightFrame, lights::LightMap};
 use lobelia_world::material::{
     DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, USUAL_ALBEDO, sheen::KnownAlong, spawn_materials,
     spawn_texels, tilt::MOST_TILT,
 };
-use lobelia_world::pipeline::Pipeline;
-use lobelia_world::sample::point::Scenery;
-use std::path::Path;
-use std::sync::Arc;
+use lobelia_world::{pipeline::Pipeline, sample::point::Scenery};
+use std::{path::Path, sync::Arc};
 
 /// Puts the scene into the pipeline's world: surface, views, light lobes, texels, the specular lobe, and what is unknown.
 ///
@@ -53,7 +45,11 @@ pub fn spawn(
     let (albedo, specular) = match scene.own_material() {
         Some(path) => own_material(path, surface)?,
         None => {
-            (initial_albedo(&scene.material.albedo, surface)?, initial_specular(&scene.material.specular))
+            let albedo = match &scene.material.albedo {
+                Albedo::Unknown => &AlbedoSource::Constant(Vec3::splat(USUAL_ALBEDO)),
+                Albedo::Initial(source) | Albedo::Fixed(source) => source,
+            };
+            (given_albedo(albedo, surface)?, initial_specular(&scene.material.specular))
         }
     };
     let (specular, blends) = initial_gloss(&scene.material.gloss, specular, surface)?;
@@ -79,8 +75,16 @@ pub fn spawn(
         world.spawn(LightMap(map));
     }
     insert_known_along(world, &scene.material.sheen, surface)?;
-    let sheen = initial_sheen(world, &albedo);
-    let tilt = initial_tilt(&scene.material.tilt, surface)?;
+    let sheen = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(&albedo));
+    let sheen = sheen.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()]);
+    let tilt = match &scene.material.tilt {
+        Tilt::Fixed(path) => {
+            let (width, height) = (surface.atlas().width, surface.atlas().height);
+            let known = texture::read_vectors(path, ["X", "Y", "Z"], width, height)?;
+            known.into_iter().map(|tilt| DiffuseTilt(tilt.clamp_length_max(MOST_TILT))).collect()
+        }
+        Tilt::Unknown | Tilt::None => vec![DiffuseTilt::default(); albedo.len()],
+    };
     spawn_texels(world, &albedo, &sheen, &tilt, &blends);
     spawn_materials(world, &specular);
     Ok(())
@@ -140,7 +144,7 @@ const METAL: (f32, f32) = (0.3, 0.25);
 const DIELECTRIC: (f32, f32) = (0.04, 0.5);
 
 /// The roughest base material at first, over the least rough.
-const ROUGHNESS_SPREAD: f32 = 2.5;
+const SPREAD: f32 = 2.5;
 
 /// The base materials and each texel's blend of them, starting from the lobe `specular`.
 fn initial_gloss(
@@ -155,8 +159,7 @@ fn initial_gloss(
         Gloss::Blend { materials } => {
             // With roughnesses spread around that of `specular`.
             let place = |k: u32| k as f32 / (materials - 1) as f32 - 0.5;
-            let roughness =
-                |k| (specular.roughness * ROUGHNESS_SPREAD.powf(place(k))).clamp(MIN_ROUGHNESS, 1.0);
+            let roughness = |k| (specular.roughness * SPREAD.powf(place(k))).clamp(MIN_ROUGHNESS, 1.0);
             let lobes = (0..*materials).map(|k| SpecularLobe { roughness: roughness(k), ..specular });
             Ok((lobes.collect(), vec![SpecularBlend::even(*materials as usize); count]))
         }
@@ -165,18 +168,15 @@ fn initial_gloss(
             let blend = SpecularBlend(TexelRoughness::first(specular.roughness, *varied).weights());
             Ok((lobes.to_vec(), vec![blend; count]))
         }
-        Gloss::Fixed { lobes, weights } => {
-            Ok((lobes.clone(), texture::read_weights(weights, lobes.len(), width, height)?))
+        Gloss::Fixed { lobes, weights: of } => {
+            Ok((lobes.clone(), texture::read_weights(of, lobes.len(), width, height)?))
         }
     }
 }
 
 /// The base materials that a fit may choose instead of one ([`Gloss::Auto`]), and the blend that it starts with: see [`metal`](lobelia_solve::fit::metal).
 pub fn several_materials() -> (Vec<SpecularLobe>, SpecularBlend) {
-    let lobe = |(albedo, roughness)| SpecularLobe {
-        ndf: Ndf::Ggx,
-        ..SpecularLobe::new(Vec3::splat(albedo), roughness)
-    };
+    let lobe = |(albedo, roughness)| SpecularLobe { albedo: Vec3::splat(albedo), roughness, ndf: Ndf::Ggx };
     (vec![lobe(METAL), lobe(DIELECTRIC)], SpecularBlend::even(2))
 }
 
@@ -190,30 +190,6 @@ pub(crate) fn insert_known_along(world: &mut World, sheen: &Sheen, surface: &Sur
         }
     }
     Ok(())
-}
-
-/// The sheen of each texel that a fit starts from, or the known one, beside this albedo.
-fn initial_sheen(world: &World, albedo: &[Vec3]) -> Vec<DiffuseSheen> {
-    let known = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(albedo));
-    known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()])
-}
-
-/// The tilt of each texel: none, or the known one.
-fn initial_tilt(tilt: &Tilt, surface: &Surface) -> Result<Vec<DiffuseTilt>> {
-    let (width, height) = (surface.atlas().width, surface.atlas().height);
-    let Tilt::Fixed(path) = tilt else {
-        return Ok(vec![DiffuseTilt::default(); (width * height) as usize]);
-    };
-    let known = texture::read_vectors(path, ["X", "Y", "Z"], width, height)?;
-    Ok(known.into_iter().map(|tilt| DiffuseTilt(tilt.clamp_length_max(MOST_TILT))).collect())
-}
-
-/// The albedo of each texel that a fit starts from, or the known one.
-fn initial_albedo(albedo: &Albedo, surface: &Surface) -> Result<Vec<Vec3>> {
-    match albedo {
-        Albedo::Unknown => given_albedo(&AlbedoSource::Constant(Vec3::splat(USUAL_ALBEDO)), surface),
-        Albedo::Initial(source) | Albedo::Fixed(source) => given_albedo(source, surface),
-    }
 }
 
 fn given_albedo(source: &AlbedoSource, surface: &Surface) -> Result<Vec<Vec3>> {
@@ -231,9 +207,7 @@ const START: (f32, f32) = (0.3, 0.4);
 pub(crate) fn initial_specular(specular: &Specular) -> SpecularLobe {
     SpecularLobe {
         albedo: match specular.albedo {
-            SpecularAlbedo::Unknown { mono: true, initial: Some(initial) } => {
-                Vec3::splat(initial.element_sum() / 3.0)
-            }
+            SpecularAlbedo::Unknown { mono: true, initial: Some(of) } => Vec3::splat(of.element_sum() / 3.0),
             SpecularAlbedo::Unknown { initial, .. } => initial.unwrap_or(Vec3::splat(START.0)),
             SpecularAlbedo::Fixed(value) => value,
         },
@@ -279,15 +253,14 @@ const SPECK: f32 = 1e-6;
 /// Most cells and texels a side of an unknown surface that is to be replaced.
 const DRAFT: (u32, u32) = (48, 256);
 
-/// Makes the surface, from the training views' masks where it is unknown; the notes say what was repaired on the way.
+/// A surface, and notes of what was repaired on the way.
+pub type Made = (Surface, Vec<String>);
+
+/// Makes the surface, from the training views' masks where it is unknown.
 ///
 /// # Errors
 /// If the mesh cannot be read or unwrapped.
-pub fn make_surface(
-    spec: &SurfaceSpec,
-    views: &[ViewRecord],
-    use_of: SurfaceUse,
-) -> Result<(Surface, Vec<String>)> {
+pub fn make_surface(spec: &SurfaceSpec, views: &[ViewRecord], use_of: SurfaceUse) -> Result<Made> {
     match spec {
         SurfaceSpec::Unknown { cells, texture_size } => match use_of {
             SurfaceUse::Lasting => hull_of_masks(views, *cells, *texture_size),
@@ -295,7 +268,18 @@ pub fn make_surface(
             SurfaceUse::Checks => Ok((Surface::new(sphere_mesh(Vec3::ZERO, SPECK)?, DRAFT.1)?, Vec::new())),
         },
         SurfaceSpec::Mesh { path, texture_size, own_material } => {
-            mesh_of_file(path, *texture_size, *own_material)
+            let (mesh, report) = read_mesh_with_report(path)?;
+            let unwrapped = unwrap_mesh(&mesh, *texture_size)?;
+            // Its own material needs its own texture coordinates.
+            if *own_material && unwrapped.charts.is_some() {
+                let problem =
+                    "its texture coordinates are missing or overlap, so that its own material has no place";
+                let help = "Give the material in the scene file, or unwrap the mesh in another program.";
+                return Err(Error::input(path, "", problem, help));
+            }
+            let notes = report.notes().into_iter().chain(unwrapped.note);
+            let notes = notes.map(|note| format!("{}: {note}", path.display())).collect();
+            Ok((Surface::new(unwrapped.mesh, *texture_size)?, notes))
         }
         SurfaceSpec::Sphere { center, radius, texture_size } => {
             Ok((Surface::new(sphere_mesh(*center, *radius)?, *texture_size)?, Vec::new()))
@@ -307,26 +291,12 @@ pub fn make_surface(
 }
 
 /// The visual hull of the training views' masks, on a grid of `cells` cells a side.
-fn hull_of_masks(views: &[ViewRecord], cells: u32, texture_size: u32) -> Result<(Surface, Vec<String>)> {
+fn hull_of_masks(views: &[ViewRecord], cells: u32, texture_size: u32) -> Result<Made> {
     let train = views.iter().filter(|view| view.split == Split::Train);
     let silhouette = |view: &ViewRecord| Silhouette::new(&view.name, &view.camera, view.mask.as_ref()?);
     let mut silhouettes: Vec<Silhouette> = train.filter_map(silhouette).collect();
     let hull = visual_hull(&mut silhouettes, cells)?;
     let notes = check_hull(&hull, &silhouettes)?;
     let unwrapped = unwrap_mesh(&extract_parts(&hull, &silhouettes), texture_size)?;
-    Ok((Surface::new(unwrapped.mesh, texture_size)?, notes))
-}
-
-/// The mesh of a file. Where it is to have its `own_material`, its own texture coordinates have to do.
-fn mesh_of_file(path: &Path, texture_size: u32, own_material: bool) -> Result<(Surface, Vec<String>)> {
-    let (mesh, report) = read_mesh_with_report(path)?;
-    let unwrapped = unwrap_mesh(&mesh, texture_size)?;
-    if own_material && unwrapped.charts.is_some() {
-        let problem = "its texture coordinates are missing or overlap, so that its own material has no place";
-        let help = "Give the material in the scene file, or unwrap the mesh in another program.";
-        return Err(Error::input(path, "", problem, help));
-    }
-    let notes = report.notes().into_iter().chain(unwrapped.note);
-    let notes = notes.map(|note| format!("{}: {note}", path.display())).collect();
     Ok((Surface::new(unwrapped.mesh, texture_size)?, notes))
 }

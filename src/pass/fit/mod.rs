@@ -2,63 +2,45 @@
 //!
 //! | module | holds |
 //! | --- | --- |
-//! | [`steps`] | its settings, its log, its steps, and the geometry that moves with it |
-//! | [`choices`] | what it chooses on its way: base materials and distribution of normals |
+//! | [`steps`] | its settings, its log, its steps with the geometry that moves, and what it chooses on its way: base materials and distribution of normals |
 
-pub(crate) mod choices;
 pub(crate) mod steps;
 
-use crate::pass::save::{RGB, write_vectors, write_weights};
-use crate::pass::{
-    export::carried_blends,
-    run::session::Session,
-    view_report::{csv_entry, note_fit},
-};
+use crate::pass::save::{RGB, vector_channels, weight_channels, write_layers};
+use crate::pass::view_report::{csv_entry, note_fit};
 use crate::report::{scores::ScaleFound, tone::srgb8};
 use crate::scene::{FitPass, Gloss, Tilt, Views};
-use crate::spawn::initial_specular;
+use crate::{pass::export::carried_blends, pass::run::session::Session, spawn::initial_specular};
 use bevy_ecs::prelude::{With, World};
-use choices::take_steps_and_choose;
 use glam::{Vec2, Vec3, Vec3A};
 use image::{Rgb, RgbImage};
-use lobelia_geometry::error::stop::{finish_stopping, is_stopping};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::Surface;
-use lobelia_geometry::mesh::atlas::{TexelAtlas, address, fill_uncovered};
+use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_stopping};
+use lobelia_geometry::mesh::{Surface, atlas::TexelAtlas, atlas::address, atlas::fill_uncovered};
 use lobelia_geometry::view::{Camera, Photograph, Split, ViewIndex, ViewName};
 use lobelia_io::codec::file::{check_finite, write_bytes};
-use lobelia_io::codec::npy::{NpyConvention, write_lobes};
-use lobelia_io::codec::{
-    envmap::write_map_exr, exr::ExrLayers, exr_frame::write_channels, png_file::write_rgb8,
-};
-use lobelia_sg::ray::TexelAddress;
-use lobelia_sg::statistics::median;
+use lobelia_io::codec::{envmap::write_map_exr, npy::NpyConvention, npy::write_lobes, png_file::write_rgb8};
+use lobelia_sg::{ray::TexelAddress, statistics::median};
 use lobelia_solve::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
+use lobelia_solve::fit::components::TexelSeen;
 use lobelia_solve::fit::detail::{DetailOptions, finest_side, solve_detail, visited_pixels};
 use lobelia_solve::fit::exposure::{ExposureChoice, Exposures};
 use lobelia_solve::fit::roughness::{RoughnessPrior, TexelRoughness, attach_roughness};
 use lobelia_solve::fit::run::{FitOptions, FitSummary, Initialize, optimizer_of_texel_roughness};
 use lobelia_solve::fit::scale::{ScaleRule, means};
-use lobelia_solve::fit::{
-    components::TexelSeen, groups::forget_visibility, guard::check_parameters, observe::release_pool,
-};
+use lobelia_solve::fit::{groups::forget_visibility, guard::check_parameters, observe::release_pool};
 use lobelia_world::light::{
     EnvironmentMap, LightLobe, groups::other_lights, lights::own_lobes, render_lobes,
 };
-use lobelia_world::material::sheen::{KnownAlong, has_sheen, write_albedo};
 use lobelia_world::material::{
     DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
-    recovered_materials, texels_in_order, tilt::has_tilt,
+    recovered_materials, sheen::KnownAlong, sheen::has_sheen, sheen::write_albedo, texels_in_order,
 };
 use lobelia_world::pipeline::pool::{despawn_rows, read_column, write_column};
-use lobelia_world::pipeline::{Phase, Slot};
-use lobelia_world::sample::point::Scenery;
+use lobelia_world::{material::tilt::has_tilt, pipeline::Phase, pipeline::Slot, sample::point::Scenery};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
-use std::path::Path;
-use std::sync::Arc;
-use std::time::Instant;
-use steps::{begin_log, take_log};
+use std::{path::Path, sync::Arc, time::Instant};
+use steps::{begin_log, take_log, take_steps_and_choose};
 use tracing::info_span;
 
 /// A picture of the light of the object that took its own photographs, as `environment.png` is of the recovered one.
@@ -74,7 +56,7 @@ const ENVIRONMENT_SIZE: (u32, u32) = (512, 256);
 /// [`Error::Interrupted`] if the run is stopped, once the results so far are written.
 pub(crate) fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     // Created first, so that an unwritable folder is detected before the fit.
-    let folder = session.folder(&pass.name);
+    let folder = session.out.join(&pass.name);
     std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
     if let Gloss::Texels { smoothness, color_width, specular } = session.scene.material.gloss {
         let first = initial_specular(&session.scene.material.specular).roughness;
@@ -116,7 +98,7 @@ pub(crate) fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     report(session, &pass.name, &summary, unseen);
     write_results(&mut session.pipeline.world, session.surface.atlas(), &folder, &scale)?;
     if let Some(truth) = &session.truth {
-        write_environment(&folder.join(TRUE_ENVIRONMENT), truth.lobes())?;
+        write_environment(&folder.join(TRUE_ENVIRONMENT), &truth.lights[0].lobes)?;
     }
     write_bytes(&folder.join("log.csv"), take_log(&mut session.pipeline.world).as_bytes())?;
     session.scores.scale = Some(scale);
@@ -128,8 +110,7 @@ pub(crate) fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
 fn fill_texels(session: &mut Session) -> Result<usize> {
     let unknowns = session.unknowns();
     let world = &mut session.pipeline.world;
-    let seen: Vec<bool> =
-        read_column::<TexelIndex, TexelSeen>(world)?.iter().map(|seen| seen.0 > 1e-3).collect();
+    let seen: Vec<bool> = read_column::<TexelIndex, TexelSeen>(world)?.iter().map(|s| s.0 > 1e-3).collect();
     let atlas = session.surface.atlas();
     if seen.len() != atlas.covered.len() || !seen.contains(&true) {
         return Ok(0);
@@ -165,26 +146,21 @@ fn fill_texels(session: &mut Session) -> Result<usize> {
     Ok(if fitted { unseen.count() } else { 0 })
 }
 
-/// A summary of the specular material: one or two base materials completely, of more the range of roughness of the texels.
-fn material_words(world: &mut World) -> String {
-    let lobes: Vec<SpecularLobe> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
-    let gloss: Vec<f32> = world.query::<&TexelRoughness>().iter(world).map(|gloss| gloss.roughness).collect();
-    let (low, high) =
-        gloss.iter().fold((f32::INFINITY, 0.0f32), |(low, high), r| (low.min(*r), high.max(*r)));
-    let words = |roughness: String, [r, g, b]: [f32; 3]| {
-        format!("; roughness {roughness}, specular albedo ({r:.3}, {g:.3}, {b:.3})")
-    };
-    match lobes.as_slice() {
-        [first, ..] if !gloss.is_empty() => words(format!("{low:.3} to {high:.3}"), first.albedo.to_array()),
-        all => all.iter().map(|l| words(format!("{:.3}", l.roughness), l.albedo.to_array())).collect(),
-    }
-}
-
 fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize) {
     let total = session.scores.fit_secs.unwrap_or(0.0) + summary.elapsed_secs;
     session.scores.fit_secs = Some(total);
     let world = &mut session.pipeline.world;
-    let material = material_words(world);
+    // One or two base materials completely, of more the range of roughness of the texels.
+    let lobes: Vec<SpecularLobe> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
+    let gloss: Vec<f32> = world.query::<&TexelRoughness>().iter(world).map(|gloss| gloss.roughness).collect();
+    let (low, high) = gloss.iter().fold((f32::INFINITY, 0f32), |(low, high), r| (low.min(*r), high.max(*r)));
+    let words = |roughness: String, [r, g, b]: [f32; 3]| {
+        format!("; roughness {roughness}, specular albedo ({r:.3}, {g:.3}, {b:.3})")
+    };
+    let material: String = match lobes.as_slice() {
+        [first, ..] if !gloss.is_empty() => words(format!("{low:.3} to {high:.3}"), first.albedo.to_array()),
+        all => all.iter().map(|l| words(format!("{:.3}", l.roughness), l.albedo.to_array())).collect(),
+    };
     session.progress.print(&format!(
         "{name}: {} steps over {} pixels in {:.1} s{material}{}",
         summary.steps,
@@ -195,9 +171,8 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
     if let Some(part) = summary.explained_by_sheen.map(|part| 100.0 * part) {
         let found = has_sheen(&read_column::<TexelIndex, DiffuseSheen>(world).unwrap_or_default());
         let words = if found { "a sheen" } else { "no sheen" };
-        session.progress.print(&format!(
-            "{name}: {words}: it explains {part:.1} % of the squared error of views kept aside"
-        ));
+        let of = "of the squared error of views kept aside";
+        session.progress.print(&format!("{name}: {words}: it explains {part:.1} % {of}"));
     }
     session.scores.determined = summary.determined;
     if let Some(words) = summary.determined.and_then(|found| found.words()) {
@@ -225,9 +200,18 @@ fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &S
     let marks: Vec<Vec3> = seen.iter().map(|s| Vec3::splat(if s.0 > 1e-3 { 1.0 } else { 0.0 })).collect();
     write_rgb8(folder.join("seen.png"), &preview(&marks, atlas.width, atlas.height))?;
     let materials = recovered_materials(world);
+    // The blend weights of several base materials, and the resulting roughness.
     if materials.len() > 1 {
         let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
-        write_roughness(&materials, &blends, atlas, folder)?;
+        let numbers = materials.iter().map(|(number, _)| *number);
+        write_layers(&folder.join("blend.exr"), atlas, weight_channels(&blends, numbers))?;
+        let shown: Vec<Vec3> = blends.iter().map(|blend| Vec3::from_slice(&blend.0)).collect();
+        write_rgb8(folder.join("blend.png"), &preview(&shown, atlas.width, atlas.height))?;
+        let by_number = || materials.iter().map(|(number, lobe)| (*number, lobe));
+        let roughness: Vec<f32> = blends.iter().map(|blend| blend.roughness(by_number())).collect();
+        let shown: Vec<Vec3> = roughness.iter().map(|r| Vec3::splat(*r)).collect();
+        write_rgb8(folder.join("roughness.png"), &preview(&shown, atlas.width, atlas.height))?;
+        write_layers(&folder.join("roughness.exr"), atlas, [("Y".to_owned(), roughness)])?;
     }
     write_bytes(&folder.join("materials.ron"), materials_ron(&materials, scale).as_bytes())
 }
@@ -235,7 +219,7 @@ fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &S
 /// Writes a texture as sRGB PNG and linear EXR.
 fn write_texture(path: &Path, colors: &[Vec3], atlas: &TexelAtlas) -> Result<()> {
     write_rgb8(path.with_extension("png"), &preview(colors, atlas.width, atlas.height))?;
-    write_vectors(&path.with_extension("exr"), RGB, colors, atlas)
+    write_layers(&path.with_extension("exr"), atlas, vector_channels(RGB, colors))
 }
 
 /// Writes a light to the files that [`light_files`] names.
@@ -257,27 +241,6 @@ fn write_environment(path: &Path, lobes: &[LightLobe]) -> Result<EnvironmentMap>
     Ok(map)
 }
 
-/// Writes the blend weights of several base materials, and the resulting roughness.
-fn write_roughness(
-    materials: &[(usize, SpecularLobe)],
-    blends: &[SpecularBlend],
-    atlas: &TexelAtlas,
-    folder: &Path,
-) -> Result<()> {
-    let (width, height) = (atlas.width, atlas.height);
-    let numbers: Vec<usize> = materials.iter().map(|(number, _)| *number).collect();
-    write_weights(&folder.join("blend.exr"), blends, &numbers, atlas)?;
-    let shown: Vec<Vec3> = blends.iter().map(|blend| Vec3::from_slice(&blend.0)).collect();
-    write_rgb8(folder.join("blend.png"), &preview(&shown, width, height))?;
-    let by_number = || materials.iter().map(|(number, lobe)| (*number, lobe));
-    let roughness: Vec<f32> = blends.iter().map(|blend| blend.roughness(by_number())).collect();
-    let shown: Vec<Vec3> = roughness.iter().map(|r| Vec3::splat(*r)).collect();
-    write_rgb8(folder.join("roughness.png"), &preview(&shown, width, height))?;
-    let mut map = ExrLayers { width, height, ..ExrLayers::default() };
-    map.channels.insert("Y".to_owned(), roughness);
-    write_channels(folder.join("roughness.exr"), &map)
-}
-
 fn preview(pixels: &[Vec3], width: u32, height: u32) -> RgbImage {
     RgbImage::from_fn(width, height, |x, y| Rgb(srgb8(pixels[(y * width + x) as usize])))
 }
@@ -291,21 +254,18 @@ fn materials_ron(materials: &[(usize, SpecularLobe)], scale: &ScaleFound) -> Str
     let _ = writeln!(text, "// Scale {rule}: mean light {mean_light:?}, mean albedo {mean_albedo:?}.\n[");
     for (_, lobe) in materials {
         let [r, g, b] = lobe.albedo.to_array();
-        let _ = writeln!(
-            text,
-            "    (albedo: ({r:?}, {g:?}, {b:?}), roughness: {:?}, ndf: {:?}),",
-            lobe.roughness, lobe.ndf
-        );
+        let SpecularLobe { roughness, ndf, .. } = lobe;
+        let _ =
+            writeln!(text, "    (albedo: ({r:?}, {g:?}, {b:?}), roughness: {roughness:?}, ndf: {ndf:?}),");
     }
     text.push_str("]\n");
     text
 }
 
-/// Writes `cam_dict_norm.json` (PhySG's layout, training views; in the convention of the input, for images of
-/// the fitted size) if cameras moved, and `exposures.csv` if photographs have exposures of their own,
-/// to the folder of a pass, and prints how far cameras moved.
+/// Writes `cam_dict_norm.json` (PhySG's layout, training views; in the convention of the input, for images of the fitted size) if cameras
+/// moved, and `exposures.csv` if photographs have exposures of their own, to the folder of a pass, and prints how far cameras moved.
 pub(crate) fn write_views(session: &mut Session, name: &str, cameras: CameraUnknowns) -> Result<()> {
-    let folder = session.folder(name);
+    let folder = session.out.join(name);
     if cameras != CameraUnknowns::Given {
         let world = &mut session.pipeline.world;
         let shifts = shifts_px(world, session.surface.bounding_sphere());
@@ -339,17 +299,18 @@ fn shifts_px(world: &mut World, (center, radius): (Vec3, f32)) -> Vec<f32> {
     let around = [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| radius * axis);
     let points = [center, center + around[0], center + around[1], center + around[2]];
     let mut views = world.query::<(&Camera, &CameraPose, &Split)>();
-    let train = views.iter(world).filter(|(_, _, split)| **split == Split::Train);
-    let shift = |(camera, pose): (&Camera, &CameraPose)| {
+    let train = views.iter(world).filter(|(.., split)| **split == Split::Train);
+    let shift = |(camera, pose, _): (&Camera, &CameraPose, &Split)| {
         let apart = points.iter().filter_map(|point| {
             let (from, to) = (pose.given.project(*point)?, camera.project(*point)?);
             Some((from.0 - to.0).hypot(from.1 - to.1))
         });
         apart.sum::<f32>() / points.len() as f32
     };
-    train.map(|(camera, pose, _)| shift((camera, pose))).collect()
+    train.map(shift).collect()
 }
 
+/// Writes the cameras of the training views in PhySG's format.
 fn write_cameras(world: &mut World, folder: &Path, focal_scale: f32) -> Result<()> {
     let mut cameras: Map<String, Value> = Map::new();
     let mut views = world.query::<(&ViewName, &Camera, &CameraPose, &Split)>();
@@ -358,29 +319,26 @@ fn write_cameras(world: &mut World, folder: &Path, focal_scale: f32) -> Result<(
         let wrong = |problem| Error::run("optimizing cameras", format!("view {}: {problem}", name.0));
         camera.check().map_err(wrong)?;
         if *split == Split::Train {
-            cameras.insert(name.0.clone(), in_json(&camera));
+            let [fx, fy] = camera.focal.map(f64::from);
+            let [cx, cy] = camera.center.map(f64::from);
+            let skew = f64::from(camera.skew);
+            let k = [fx, skew, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+            let pose = camera.world_from_camera;
+            let position = Vec3::from(pose.translation).as_dvec3();
+            // The transform is rigid: its inverse has the camera's axes as rows.
+            let row = |axis: Vec3A| {
+                let axis = Vec3::from(axis).as_dvec3();
+                [axis.x, axis.y, axis.z, -axis.dot(position)]
+            };
+            let matrix = pose.matrix3;
+            let rows = [row(matrix.x_axis), row(matrix.y_axis), row(matrix.z_axis), [0.0, 0.0, 0.0, 1.0]];
+            let size = [camera.width, camera.height];
+            let camera = json!({ "K": k, "W2C": rows.as_flattened(), "img_size": size });
+            cameras.insert(name.0.clone(), camera);
         }
     }
     let text = serde_json::to_string_pretty(&cameras).map_err(|e| Error::run("cameras", e.to_string()))?;
     write_bytes(&folder.join("cam_dict_norm.json"), text.as_bytes())
-}
-
-/// A camera in PhySG's format.
-fn in_json(camera: &Camera) -> Value {
-    let [fx, fy] = camera.focal.map(f64::from);
-    let [cx, cy] = camera.center.map(f64::from);
-    let k = [fx, f64::from(camera.skew), cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-    let pose = camera.world_from_camera;
-    let position = Vec3::from(pose.translation).as_dvec3();
-    // The transform is rigid: its inverse has the camera's axes as rows.
-    let row = |axis: Vec3A| {
-        let axis = Vec3::from(axis).as_dvec3();
-        [axis.x, axis.y, axis.z, -axis.dot(position)]
-    };
-    let matrix = pose.matrix3;
-    let rows = [row(matrix.x_axis), row(matrix.y_axis), row(matrix.z_axis), [0.0, 0.0, 0.0, 1.0]];
-    let w2c = rows.as_flattened();
-    json!({ "K": k, "W2C": w2c, "img_size": [camera.width, camera.height] })
 }
 
 fn write_exposures(world: &mut World, folder: &Path) -> Result<()> {
@@ -412,7 +370,18 @@ fn refine_texture(session: &mut Session, pass: &FitPass, options: &FitOptions) -
     let start = Instant::now();
     let factor = factor_for(session);
     if factor > 1 {
-        refine(session, factor)?;
+        // Divides each texel into `factor`² texels of the same material.
+        let atlas = session.surface.atlas();
+        let (width, height) = (atlas.width, atlas.height);
+        let surface = Arc::new(Surface::new(session.surface.mesh().clone(), width * factor)?);
+        let fine = [surface.atlas().width, surface.atlas().height];
+        let center = |i: u32, size: u32| (i as f32 + 0.5) / size as f32;
+        let place = |i: u32| Vec2::new(center(i % fine[0], fine[0]), center(i / fine[0], fine[1]));
+        let from = (0..fine[0] * fine[1]).map(|i| address(place(i), width, height));
+        divide_texels(&mut session.pipeline.world, &from.collect::<Vec<_>>())?;
+        session.pipeline.world.insert_resource(Scenery(surface.clone()));
+        forget_visibility(&mut session.pipeline.world);
+        (session.surface, session.surface_found) = (surface, true);
     }
     let visibility = options.visibility && session.has_visibility()?;
     let tilt = session.scene.material.tilt == Tilt::Unknown;
@@ -444,24 +413,6 @@ fn factor_for(session: &mut Session) -> u32 {
     let most = finest_side(pixels as f64) as u32 / side;
     // A cast of what is not a number is 0.
     ((atlas.texel_size() / pixel).round() as u32).min(most).max(1)
-}
-
-/// Divides each texel into `factor`² texels of the same material.
-fn refine(session: &mut Session, factor: u32) -> Result<()> {
-    let atlas = session.surface.atlas();
-    let (width, height) = (atlas.width, atlas.height);
-    let surface = Arc::new(Surface::new(session.surface.mesh().clone(), width * factor)?);
-    let fine = surface.atlas();
-    let (fine_width, fine_height) = (fine.width, fine.height);
-    let center = |i: u32, size: u32| (i as f32 + 0.5) / size as f32;
-    let place = |i: u32| Vec2::new(center(i % fine_width, fine_width), center(i / fine_width, fine_height));
-    let from: Vec<TexelAddress> =
-        (0..fine_width * fine_height).map(|i| address(place(i), width, height)).collect();
-    divide_texels(&mut session.pipeline.world, &from)?;
-    session.pipeline.world.insert_resource(Scenery(surface.clone()));
-    forget_visibility(&mut session.pipeline.world);
-    (session.surface, session.surface_found) = (surface, true);
-    Ok(())
 }
 
 /// Replaces the texels by texels whose material is that of the old ones at these places: albedo and sheen between them, the rest of

@@ -1,26 +1,19 @@
-//! The memory that a run may take: known before it begins, and kept by smaller pools or refused; and the
-//! machine that it works on.
+//! The memory that a run may take: known before it begins, and kept by smaller pools or refused; and the machine that it works on.
 
-use crate::pass::run::progress::Progress;
-use crate::scene::{Pass, Scene};
-use crate::survey::estimate::{estimate, memory};
-use crate::survey::look::ViewLook;
+use crate::survey::{counted, estimate::estimate, estimate::memory, look::ViewLook};
+use crate::{pass::run::progress::Progress, scene::Pass, scene::Scene};
 use lobelia_geometry::error::{Error, Result};
 use lobelia_sg::lanes::level_name;
 use serde::{Deserialize, Serialize};
-use std::borrow::Cow;
-use std::fs::read_to_string;
-use std::path::{Path, PathBuf};
+use std::{borrow::Cow, fs::read_to_string, path::Path, path::PathBuf};
 
-/// Share of the memory that a process may have which a run takes if nothing else is said.
-const USUAL_SHARE: f64 = 0.75;
 /// Fewest pixels of a pool: below, fits become poor.
 pub(crate) const LEAST_PIXELS: u32 = 200_000;
 
 /// Returns the default memory of a run: three quarters of the memory that the machine lets a
 /// process have, in bytes; `None` if that is unknown.
 pub fn usual_budget() -> Option<u64> {
-    machine_memory().map(|bytes| (bytes as f64 * USUAL_SHARE) as u64)
+    machine_memory().map(|bytes| (bytes as f64 * 0.75) as u64)
 }
 
 /// Bytes of "8GiB", "500 MB", "1.5g" or a plain number; `Err` says what is expected.
@@ -41,15 +34,11 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
         _ => 0.0,
     };
     let bytes = number.parse::<f64>().unwrap_or(f64::NAN) * factor;
-    if (1e6..1e18).contains(&bytes) {
-        Ok(bytes as u64)
-    } else {
-        Err("give an amount such as 8GiB or 500MiB".to_owned())
-    }
+    let is_usual = (1e6..1e18).contains(&bytes);
+    is_usual.then_some(bytes as u64).ok_or_else(|| "give an amount such as 8GiB or 500MiB".to_owned())
 }
 
-/// The scene as it keeps to `bytes` of memory with these views: the same if it does, else with smaller pools,
-/// which a note tells.
+/// The scene as it keeps to `bytes` of memory with these views: the same if it does, else with smaller pools, which a note tells.
 ///
 /// # Errors
 /// [`Error::Usage`] with the memory that would do, if the smallest pools take too much.
@@ -109,9 +98,8 @@ fn with_pools(scene: &Scene, most: u32) -> Scene {
     scene
 }
 
-/// The memory that this machine lets a process have, in bytes: what is built in, less what its control
-/// groups and its own address space are limited to. Only Linux says it, in text files; `None` if the
-/// memory of the machine is unknown.
+/// The memory that this machine lets a process have, in bytes: what is built in, less what its control groups and its own address space are
+/// limited to. Only Linux says it, in text files; `None` if the memory of the machine is unknown.
 fn machine_memory() -> Option<u64> {
     let groups = ["/sys/fs/cgroup", "/sys/fs/cgroup/memory"].map(Path::new);
     least_limit(Path::new("/proc"), groups)
@@ -168,9 +156,12 @@ pub(crate) struct Machine {
 impl Machine {
     /// This machine, with the threads that rayon has.
     pub fn this() -> Self {
+        let text = read_to_string("/proc/cpuinfo").unwrap_or_default();
+        let line = text.lines().find(|line| line.starts_with("model name")).and_then(|of| of.split_once(':'));
+        let processor = line.map(|(_, name)| name.split_whitespace().collect::<Vec<_>>().join(" "));
         Self {
             system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
-            processor: read_to_string("/proc/cpuinfo").ok().and_then(|text| processor_in(&text)),
+            processor: processor.filter(|name| !name.is_empty()),
             simd: level_name().to_owned(),
             threads: rayon::current_num_threads(),
             memory_mib: machine_memory().map(|bytes| bytes >> 20),
@@ -179,27 +170,18 @@ impl Machine {
 
     /// "AMD EPYC 9354P, 2 threads, avx2, 15.6 GiB, linux x86_64".
     pub fn words(&self) -> String {
-        let threads =
-            if self.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", self.threads) };
+        let (threads, simd) = (Some(counted(self.threads, "thread")), Some(self.simd.clone()));
         let memory = self.memory_mib.map(|mib| format!("{:.1} GiB", mib as f64 / 1024.0));
-        let parts = [self.processor.clone(), Some(threads), Some(self.simd.clone()), memory];
+        let parts = [self.processor.clone(), threads, simd, memory];
         let parts = parts.into_iter().flatten().chain([self.system.clone()]);
         parts.collect::<Vec<_>>().join(", ")
     }
 }
 
-/// The first "model name" of `/proc/cpuinfo`.
-fn processor_in(text: &str) -> Option<String> {
-    let line = text.lines().find_map(|line| line.strip_prefix("model name"))?;
-    let name = line.split_once(':')?.1.split_whitespace().collect::<Vec<_>>().join(" ");
-    (!name.is_empty()).then_some(name)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pass::run::progress::Silent;
-    use crate::scene::{LoadOptions, load};
+    use crate::{pass::run::progress::Silent, scene::LoadOptions, scene::load};
     use std::fs::{create_dir_all, write};
 
     #[test]

@@ -10,8 +10,6 @@
 //! | [`progress`] | what it says on the way |
 //! | [`summary`] | `OUT/report.html`, made of what is in the folder |
 
-#[cfg(test)]
-mod fault_tests;
 pub mod memory;
 pub mod preflight;
 pub mod progress;
@@ -19,22 +17,21 @@ pub(crate) mod record;
 pub(crate) mod resume;
 pub(crate) mod session;
 pub mod summary;
+#[cfg(test)]
+mod tests;
 
 use crate::pass::photograph::{camera_of, imagine};
 use crate::pass::{evaluate, export, fit, render, save, shape, view};
 use crate::scene::{
-    CameraSpec, EditPass, LightSource, Pass, RelightPass, RenderPass, Scene, Surface as SurfaceSpec,
-    ViewPass, Views, load::LoadedScene, unknown_parts,
+    CameraSpec, LightSource, Pass, Scene, Surface as SurfaceSpec, ViewPass, Views, unknown_parts,
 };
-use crate::spawn::{SurfaceUse, load_light};
 use crate::survey::{Severity, Survey, look::ViewLook, open::OpenScene};
+use crate::{scene::load::LoadedScene, spawn::SurfaceUse, spawn::load_light};
 use lobelia_geometry::error::stop::{check_interrupted, finish_stopping, stopped_by};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::ViewRecord;
-use lobelia_io::codec::file::{FolderLock, clear_scratch};
+use lobelia_geometry::{error::Error, error::Result, view::ViewRecord};
+use lobelia_io::codec::file::{FolderLock, check_writable, clear_scratch};
 use lobelia_io::dataset::load_notes;
-use lobelia_solve::fit::ObjectTurned;
-use lobelia_solve::shade::device::ShadingDevice;
+use lobelia_solve::{fit::ObjectTurned, shade::device::ShadingDevice};
 use lobelia_world::checkpoint::Checkpoints;
 use preflight::Watched;
 use progress::{Moment, Progress, RecordedMessages};
@@ -42,10 +39,7 @@ use rayon::prelude::*;
 use record::{Claim, RunRecord, RunState};
 use resume::RunStart;
 use session::Session;
-use std::borrow::Cow;
-use std::io::ErrorKind;
-use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::{borrow::Cow, path::Path, path::PathBuf, time::Duration};
 use summary::Reporter;
 use tracing::info_span;
 
@@ -76,11 +70,9 @@ pub struct RunOptions {
 /// before anything is read, and `OUT/run.json` says how far the run is.
 ///
 /// # Errors
-/// The first error of a pass; passes that do not need it are run all the same, and the scores
-/// written. [`Error::Interrupted`] if the run is stopped, once what it found is written.
-/// [`Error::Usage`] if a file that would be written is an input, or is of something else than an
-/// earlier run, if another run writes into the output folder, or if a run is to go on with
-/// something else than it was begun with.
+/// The first error of a pass; passes that do not need it are run all the same, and the scores written. [`Error::Interrupted`] if the run is
+/// stopped, once what it found is written. [`Error::Usage`] if a file that would be written is an input, or is of something else than an
+/// earlier run, if another run writes into the output folder, or if a run is to go on with something else than it was begun with.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
     let told = RecordedMessages::new(progress);
     let progress: &dyn Progress = &told;
@@ -104,7 +96,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
 
     // The scene, before anything that it names is read. Then the folder is taken.
     begun.as_ref().map_or(Ok(()), |begun| begun.check_scene(&loaded.scene))?;
-    preflight::check_output(&loaded.scene, out)?;
+    check_writable(out)?;
+    loaded.scene.passes.iter().try_for_each(|pass| check_writable(&out.join(pass.name())))?;
     preflight::check_sizes(&loaded.scene)?;
     let data = OpenScene::new(&loaded.scene)?;
     let data = data.as_ref();
@@ -116,10 +109,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     let (views, survey) = read_views(&loaded.scene, data, progress)?;
     let looks = looks(&loaded.scene, survey.as_ref())?;
     let scene = memory::within(&loaded.scene, &looks, options.memory, progress)?;
-    let use_of = match scene.passes.first() {
-        Some(Pass::Shape(_)) => SurfaceUse::UntilShape,
-        _ => SurfaceUse::Lasting,
-    };
+    let is_draft = matches!(scene.passes.first(), Some(Pass::Shape(_)));
+    let use_of = if is_draft { SurfaceUse::UntilShape } else { SurfaceUse::Lasting };
     let mut session = Session::open(&scene, views, options, progress, use_of, true)?;
     if let Some(survey) = survey {
         let warnings = survey.findings_of(Severity::Warning);
@@ -130,7 +121,12 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     }
     check_interrupted()?;
     watched.check()?;
-    session.watched = watched.without(data.iter().flat_map(|data| preflight::view_files(data)));
+    // The files of views are read by now.
+    let views = data.iter().flat_map(|data| &data.views);
+    session.watched =
+        watched.without(views.flat_map(|view| {
+            view.pictures().map(|picture| picture.path).chain([view.camera_file().to_owned()])
+        }));
     session.report = Reporter::new(options.live);
 
     // The beginning, or the last checkpoint.
@@ -176,9 +172,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     ended.and(session.report.write(out)).and(cleared)
 }
 
-/// Runs all passes after the first `done`, but those that need one that failed; scores and report are
-/// written after each. Once the run is asked to stop, only what was found until then is written:
-/// scored, saved and exported.
+/// Runs all passes after the first `done`, but those that need one that failed; scores and report are written after each. Once the run is
+/// asked to stop, only what was found until then is written: scored, saved and exported.
 fn run_passes(
     session: &mut Session,
     record: &mut RunRecord,
@@ -215,19 +210,12 @@ fn run_passes(
         let ended = run_pass(session, pass);
         drop(at_work);
         finish_stopping();
-        // On a full disk later passes would end in the same way.
-        let mut ends_all = false;
         let state = RunState::of(&ended);
         match ended {
             Ok(()) => {}
             Err(Error::Interrupted) => stopped.push(pass),
             Err(error) => {
-                ends_all = matches!(&error, Error::Io { source, .. } if matches!(
-                    source.kind(),
-                    ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::ReadOnlyFilesystem
-                ));
                 match &first {
-                    _ if ends_all => {}
                     None => told.note(&format!("pass {name} failed; what does not need it goes on")),
                     Some(_) => told.note(&format!("pass {name} failed: {error}")),
                 }
@@ -235,12 +223,13 @@ fn run_passes(
                 first.get_or_insert(error);
             }
         }
+        // On a full disk this fails as well, and ends the run.
         let _after = info_span!("scores, report, checkpoint").entered();
         let recorded = record
             .pass(index, state, told.take())
             .and_then(|()| session.write_scores())
             .and_then(|()| session.report.write(&session.out));
-        if ends_all || recorded.is_err() {
+        if recorded.is_err() {
             return first.map_or(recorded, Err);
         }
         if failed.is_empty() {
@@ -253,34 +242,28 @@ fn run_passes(
     first.or(stopped_by().map(|_| Error::Interrupted)).map_or(Ok(()), Err)
 }
 
+/// Whether a pass scores another.
+fn scores(pass: &Pass, other: &Pass) -> bool {
+    matches!(pass, Pass::Evaluate(pass) if pass.scores.iter().any(|score| score.pass == other.name()))
+}
+
 /// Whether a pass writes what was found when a run is stopped: it takes little time, and all that it needs is there.
 fn writes_results(pass: &Pass, stopped: &[&Pass]) -> bool {
-    match pass {
-        Pass::Save(_) | Pass::Export(_) => true,
-        Pass::Evaluate(evaluate) => {
-            !evaluate.scores.iter().any(|score| stopped.iter().any(|pass| pass.name() == score.pass))
-        }
-        _ => false,
-    }
+    matches!(pass, Pass::Save(_) | Pass::Export(_) | Pass::Evaluate(_))
+        && !stopped.iter().any(|stopped| scores(pass, stopped))
 }
 
 /// Whether a pass has nothing to work with where an earlier one failed: everything after what finds
 /// the object, scores after their pictures.
 fn needs(pass: &Pass, failed: &Pass) -> bool {
-    match (pass, failed) {
-        (_, Pass::Fit(_) | Pass::Shape(_)) => true,
-        (Pass::Evaluate(evaluate), _) => evaluate.scores.iter().any(|score| score.pass == failed.name()),
-        _ => false,
-    }
+    matches!(failed, Pass::Fit(_) | Pass::Shape(_)) || scores(pass, failed)
 }
 
 fn run_pass(session: &mut Session, pass: &Pass) -> Result<()> {
     match pass {
         Pass::Fit(pass) => fit::run(session, pass),
         Pass::Shape(pass) => shape::run(session, pass),
-        Pass::Render(RenderPass { render, .. })
-        | Pass::Edit(EditPass { render, .. })
-        | Pass::Relight(RelightPass { render, .. }) => render::run(session, pass, render),
+        Pass::Render(of) | Pass::Edit(of) | Pass::Relight(of) => render::run(session, pass, &of.render),
         Pass::Evaluate(pass) => {
             // A truth that has changed is told of, instead of scores that are half of one and half of the other.
             session.watched.check()?;
@@ -292,10 +275,9 @@ fn run_pass(session: &mut Session, pass: &Pass) -> Result<()> {
     }
 }
 
-/// Writes the page of a scene in which everything is known, as `Save` writes it, to `path`; no pass of
-/// the scene is run, and nothing else is written. The page offers these lights besides the scene's
-/// own, by name, and has the photographs of `pass` if the data set can be read; if not, a note says
-/// why.
+/// Writes the page of a scene in which everything is known, as `Save` writes it, to `path`; no pass of the scene is run, and nothing else
+/// is written. The page offers these lights besides the scene's own, by name, and has the photographs of `pass` if the data set can be
+/// read; if not, a note says why.
 ///
 /// # Errors
 /// [`Error::Usage`] if something is unknown; those of [`run`] before its first pass; those of the page.
@@ -332,9 +314,8 @@ pub fn write_view(
     view::write_page(&mut session, pass, named, path)
 }
 
-/// Does the work of [`run`] before the first pass of a scene, without any photograph: the files
-/// that the scene names are read and checked, no pass is run, no hull of an unknown surface is
-/// made, and nothing is written. `views` are those of a data set
+/// Does the work of [`run`] before the first pass of a scene, without any photograph: the files that the scene names are read and checked,
+/// no pass is run, no hull of an unknown surface is made, and nothing is written. `views` are those of a data set
 /// ([`survey`](crate::survey::open::survey)), if the scene has one.
 ///
 /// # Errors
@@ -346,9 +327,8 @@ pub fn rehearse(scene: &Scene, mut views: Vec<ViewRecord>, progress: &dyn Progre
     Session::open(scene, views, &RunOptions::default(), progress, SurfaceUse::Checks, false).map(drop)
 }
 
-/// Reads the views that do not depend on the object; rendered photographs come later. Those of a data
-/// set that passes learn from or are scored against are surveyed: a warning is a note, the first
-/// error ends the run.
+/// Reads the views that do not depend on the object; rendered photographs come later. Those of a data set that passes learn from or are
+/// scored against are surveyed: a warning is a note, the first error ends the run.
 ///
 /// # Errors
 /// [`Error::Usage`] for the first thing that cannot work; those of reading photographs and masks.
@@ -406,8 +386,6 @@ pub fn looks<'a>(scene: &Scene, survey: Option<&'a Survey>) -> Result<Cow<'a, [V
 }
 
 fn bare_views(specs: &[CameraSpec]) -> Result<Vec<ViewRecord>> {
-    specs
-        .iter()
-        .map(|spec| Ok(ViewRecord::of_camera(spec.name.clone(), spec.split, camera_of(spec)?)))
-        .collect()
+    let view = |of: &CameraSpec| Ok(ViewRecord::of_camera(of.name.clone(), of.split, camera_of(of)?));
+    specs.iter().map(view).collect()
 }

@@ -1,53 +1,38 @@
-//! The files of a run, known before it begins, and the checks before its first pass: a wrong name or a
-//! missing ground truth is an error at the start, not after a long fit. `lobelia check` makes the
-//! same checks.
+//! The files of a run, known before it begins, and the checks before its first pass: a wrong name or a missing ground truth is an error at
+//! the start, not after a long fit. `lobelia check` makes the same checks.
 
-use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
-use crate::pass::render::{ChosenView, chosen_stems, chosen_views, film_files};
-use crate::pass::show::{apply_edits, edits_of_nothing};
-use crate::pass::truth_files::{ViewFiles, read_fitting};
 use crate::pass::{
-    evaluate::PARTS, export, photograph::ring, run::session::Session, view::PAGE, view_report::VIEWS,
+    evaluate::PARTS, evaluate::read_fitting, export, fit::TRUE_ENVIRONMENT, fit::light_files,
+    photograph::ring, render::FILM_FILES, render::chosen_stems, render::chosen_views,
+    run::record::PassRecord, run::session::Session, show::apply_edits, show::edits_of_nothing, view::PAGE,
+    view_report::VIEWS,
 };
 use crate::scene::{
-    EditPass, EvaluatePass, Gloss, LayerTruth, Light, LightSource, Pass, PlacementLight, RelightPass,
-    RenderPass, RenderSettings, Scene, Truth, ViewChoice, Views, load::LoadedScene,
+    EvaluatePass, Gloss, LayerTruth, LightSource, Pass, PlacementLight, RenderSettings, Scene, Truth,
+    ViewChoice, Views, load::LoadedScene,
 };
 use crate::spawn::light::{files_of, inlined};
 use crate::survey::open::OpenScene;
 use bevy_ecs::prelude::World;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::Surface;
+use glam::Vec3;
 use lobelia_geometry::view::{Frame, Photograph, Split, ViewName, ViewRecord};
-use lobelia_io::codec::file::{FileUse, check_apart, check_not_among, check_writable};
-use lobelia_io::codec::{
-    exr_frame::Layer, gltf::import::read_mesh, gltf::side_files, image::Gamma, nearby::closest,
-};
+use lobelia_geometry::{error::Error, error::Result, mesh::Surface};
+use lobelia_io::codec::file::{FileUse, check_apart, check_not_among};
+use lobelia_io::codec::gltf::import::read_mesh;
+use lobelia_io::codec::{exr_frame::Layer, gltf::side_files, image::Gamma, nearby::closest};
 use lobelia_solve::fit::{cameras::CameraUnknowns, exposure::ExposureChoice};
 use lobelia_solve::shade::frame::{PixelSums, check_memory};
 use lobelia_world::material::{SpecularBlend, shown::recovered_material};
 use rayon::prelude::*;
-use std::collections::BTreeSet;
-use std::fs;
-use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::{collections::BTreeSet, fs, path::Path, path::PathBuf, time::SystemTime};
 
 /// The manifest of a run, in its output folder.
 pub(crate) const RUN: &str = "run.json";
 /// Bytes of a rendered photograph's pixel: radiance and the mask.
 const PHOTOGRAPH_PIXEL_BYTES: u64 = 12 + 2;
 
-/// Files that a pass may write, by paths below the output folder, with `/` between their parts. One
-/// that ends with `/` is a folder of which all files are the pass's.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct PassFiles {
-    pub pass: String,
-    pub files: Vec<String>,
-}
-
-/// The files that the passes of a scene may write, at least all that they will. `open` is the scene's data
-/// set, if it has one.
-pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Option<u32>) -> Vec<PassFiles> {
+/// The passes of a scene before they begin, with all files that they may write. `open` is the scene's data set, if it has one.
+pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Option<u32>) -> Vec<PassRecord> {
     // Before any view is read.
     let views: Vec<(String, Split)> = match (&scene.views, open) {
         (Views::Cameras(cameras), _) => cameras.iter().map(|view| (view.name.clone(), view.split)).collect(),
@@ -55,12 +40,13 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
             ring(&spec.cameras, scene.up).into_iter().map(|view| (view.name, view.split)).collect()
         }
         (Views::Dataset(_), Some(open)) => {
-            open.views.iter().map(|view| (view.name().to_owned(), view.split())).collect()
+            open.views.iter().map(|of| (of.name().to_owned(), of.split())).collect()
         }
         (Views::Dataset(_), None) => Vec::new(),
     };
     let views: Vec<(&str, Split)> = views.iter().map(|(name, split)| (name.as_str(), *split)).collect();
     let stems = |settings: &RenderSettings| chosen_stems(&views, settings).into_iter().map(|(_, stem)| stem);
+    let both = |stem: &str| [format!("{stem}.exr"), format!("{stem}.png")];
     let of_views = |cameras: CameraUnknowns, exposure: ExposureChoice| {
         let cameras = (cameras != CameraUnknowns::Given).then_some("cam_dict_norm.json");
         let exposures = (exposure != ExposureChoice::Equal).then_some("exposures.csv");
@@ -70,8 +56,7 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
         let mut names = Vec::new();
         match pass {
             Pass::Fit(fit) => {
-                let textures = ["albedo", "albedo_along", "blend", "roughness"];
-                names.extend(textures.iter().flat_map(|stem| [format!("{stem}.png"), format!("{stem}.exr")]));
+                names.extend(["albedo", "albedo_along", "blend", "roughness"].into_iter().flat_map(both));
                 names.extend(["seen.png", "materials.ron", "log.csv"].map(str::to_owned));
                 if matches!(scene.views, Views::Photographed(_)) {
                     names.push(TRUE_ENVIRONMENT.to_owned());
@@ -84,11 +69,9 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
                 names.extend(of_views(shape.cameras, shape.exposure));
                 names.extend(debug_every.map(|_| "debug/".to_owned()));
             }
-            Pass::Render(RenderPass { render, .. })
-            | Pass::Edit(EditPass { render, .. })
-            | Pass::Relight(RelightPass { render, .. }) => {
-                names.extend(stems(render).flat_map(|stem| [format!("{stem}.exr"), format!("{stem}.png")]));
-                names.extend(render.orbit.iter().flat_map(|_| film_files()));
+            Pass::Render(of) | Pass::Edit(of) | Pass::Relight(of) => {
+                names.extend(stems(&of.render).flat_map(|stem| both(&stem)));
+                names.extend(of.render.orbit.iter().flat_map(|_| FILM_FILES.map(str::to_owned)));
             }
             Pass::Evaluate(pass) => {
                 // A contact sheet, a table of the views, and small pictures of all views of the scored
@@ -106,19 +89,16 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
             Pass::View(_) => names.push(PAGE.to_owned()),
         }
         let files = names.iter().map(|name| format!("{}/{name}", pass.name())).collect();
-        PassFiles { pass: pass.name().to_owned(), files }
+        PassRecord::waiting(pass.name(), files)
     };
     scene.passes.iter().map(of_pass).collect()
 }
 
-/// The files of a saved scene. A map is copied, with its own extension; one that cannot be read is told of
-/// where it is loaded.
+/// The files of a saved scene. A map is copied, with its own extension; one that cannot be read is told of where it is loaded.
 fn of_save(scene: &Scene) -> BTreeSet<String> {
     let name = |stem: &str, source: &LightSource| {
         let given = match source {
-            LightSource::Ron { path, scale, rotation_degrees } => {
-                inlined(path, *scale, *rotation_degrees).ok()
-            }
+            LightSource::Ron { path, .. } => inlined(path, 1.0, Vec3::ZERO).ok(),
             other => Some(other.clone()),
         };
         let extension = match &given {
@@ -127,11 +107,7 @@ fn of_save(scene: &Scene) -> BTreeSet<String> {
         };
         format!("{stem}.{extension}")
     };
-    let own = match &scene.light {
-        Light::Initial(source) | Light::Fixed(source) => Some(source),
-        Light::Unknown(_) => None,
-    };
-    let shown = own.into_iter().chain(scene.passes.iter().filter_map(Pass::light));
+    let shown = scene.light.source().into_iter().chain(scene.passes.iter().filter_map(Pass::light));
     let mut names: BTreeSet<String> = shown.map(|source| name("light", source)).collect();
     names.extend(scene.views.other_lights().iter().zip(2..).map(|(light, number)| match light {
         PlacementLight::Fixed(source) => name(&format!("light_{number}"), source),
@@ -140,16 +116,6 @@ fn of_save(scene: &Scene) -> BTreeSet<String> {
     names.extend(["scene.ron", "mesh.glb", "light.npy"].map(str::to_owned));
     names.extend(["albedo", "albedo_along", "albedo_tilt", "blend"].map(|stem| format!("{stem}.exr")));
     names
-}
-
-/// The folder of a ground truth, and the path of each file from there if the scene says it.
-type TruthFiles<'a> = (&'a PathBuf, Option<&'a str>);
-
-fn truths_of(pass: &Pass) -> Vec<TruthFiles<'_>> {
-    let Pass::Evaluate(pass) = pass else { return Vec::new() };
-    let images = pass.scores.iter().filter_map(|score| score.truth.files());
-    let layers = [&pass.albedo, &pass.normal].into_iter().flatten().filter_map(LayerTruth::files);
-    images.chain(layers).collect()
 }
 
 /// The files that a run reads: the scene file, what it names, what these name, and the files of the views. Of
@@ -166,23 +132,21 @@ pub(super) fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<File
         let named = files_of(file).into_iter().skip(1).chain(of_mesh);
         inputs.extend(named.map(|path| FileUse::new(path, &by)));
     }
-    for truth in loaded.scene.passes.iter().flat_map(truths_of) {
-        let by = format!("which is in {}, a folder of ground truth", truth.0.display());
-        inputs.extend(ViewFiles::of(truth).found().into_iter().map(|path| FileUse::new(path, &by)));
+    let truths = loaded.scene.passes.iter().flat_map(|pass| {
+        let Pass::Evaluate(pass) = pass else { return Vec::new() };
+        let images = pass.scores.iter().filter_map(|score| score.truth.files());
+        let layers = [&pass.albedo, &pass.normal].into_iter().flatten().filter_map(LayerTruth::files);
+        images.chain(layers).collect()
+    });
+    for truth in truths {
+        let by = format!("which is in {}, a folder of ground truth", truth.folder.display());
+        inputs.extend(truth.found().into_iter().map(|path| FileUse::new(path, &by)));
     }
     let views = open.map(|open| open.views.as_slice()).unwrap_or_default();
     let cameras: BTreeSet<&Path> = views.iter().map(|view| view.camera_file()).collect();
     inputs.extend(cameras.into_iter().map(|path| FileUse::new(path, "which has the cameras")));
     inputs.extend(views.iter().flat_map(|view| view.pictures()));
     inputs
-}
-
-/// The files of the views of a data set, which are read before the first pass and then no more.
-pub(super) fn view_files(open: &OpenScene) -> impl Iterator<Item = PathBuf> {
-    open.views.iter().flat_map(|view| {
-        let pictures = view.pictures().map(|picture| picture.path);
-        pictures.chain([view.camera_file().to_owned()])
-    })
 }
 
 /// Checks that no file that is to be written is one that a run reads, or lies among photographs or masks.
@@ -196,8 +160,7 @@ pub fn check_outputs(
     help: &str,
 ) -> Result<()> {
     check_apart(&inputs(loaded, open), outputs, help)?;
-    let pictures: Vec<FileUse> =
-        open.iter().flat_map(|open| &open.views).flat_map(|view| view.pictures()).collect();
+    let pictures: Vec<_> = open.iter().flat_map(|of| &of.views).flat_map(|view| view.pictures()).collect();
     check_not_among(&pictures, outputs, help)
 }
 
@@ -211,8 +174,7 @@ pub(super) fn contents(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<Pa
 /// Size of a file and the time of its last change, where the system says it; `None` if it is not there.
 type Stamp = Option<(u64, Option<SystemTime>)>;
 
-/// Files as they were when the run began, watched: one that changes or goes while the run is at work is
-/// told of.
+/// Files as they were when the run began, watched: one that changes or goes while the run is at work is told of.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Watched(Vec<(PathBuf, Stamp)>);
 
@@ -258,12 +220,6 @@ pub fn check_sizes(scene: &Scene) -> Result<()> {
     check_memory(&format!("rendering {photographs} photographs"), ring.size, ring.size, bytes)
 }
 
-/// Checks before any work that the folders of all passes can be written into.
-pub(super) fn check_output(scene: &Scene, out: &Path) -> Result<()> {
-    check_writable(out)?;
-    scene.passes.iter().try_for_each(|pass| check_writable(&out.join(pass.name())))
-}
-
 /// Checks that each placement has a training photograph, where something is fitted to them; that the
 /// cameras can be used, and that none is inside a closed object, where it sees only back faces.
 pub(super) fn check_cameras(scene: &Scene, views: &[ViewRecord], surface: &Surface) -> Result<()> {
@@ -290,12 +246,9 @@ pub(super) fn check_cameras(scene: &Scene, views: &[ViewRecord], surface: &Surfa
     let Some(view) = views.iter().find(|view| surface.is_inside(view.camera.position())) else {
         return Ok(());
     };
-    let at = view.camera.position();
+    let Vec3 { x, y, z } = view.camera.position();
     Err(Error::usage(
-        format!(
-            "the camera of view {} is inside the object, at ({:.3}, {:.3}, {:.3})",
-            view.name, at.x, at.y, at.z
-        ),
+        format!("the camera of view {} is inside the object, at ({x:.3}, {y:.3}, {z:.3})", view.name),
         "Check that the cameras and the object have the same coordinate system and unit, or leave out that view.",
     ))
 }
@@ -319,10 +272,8 @@ pub(super) fn check_passes(session: &mut Session) -> Result<()> {
         if !pass.edits().is_empty() {
             apply_edits(&mut unedited.clone(), pass.edits(), &session.surface)?;
             for number in edits_of_nothing(pass.edits(), &session.surface)? {
-                let number = number + 1;
-                session.progress.note(&format!(
-                    "pass {name}: edit {number} changes nothing: its region contains no texel"
-                ));
+                let which = format!("pass {name}: edit {}", number + 1);
+                session.progress.note(&format!("{which} changes nothing: its region contains no texel"));
             }
         }
         if let Pass::Evaluate(pass) = pass {
@@ -364,49 +315,23 @@ fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
         let Some(settings) = settings else { continue };
         let views = chosen_views(&mut session.pipeline.world, settings);
         let world = &session.pipeline.world;
-        views.par_iter().try_for_each(|view| check_image(world, &score.pass, &score.truth, view))?;
+        views.par_iter().try_for_each(|view| match &score.truth {
+            Truth::Photographs if world.get::<Photograph>(view.entity).is_none() => Err(Error::usage(
+                format!("pass {} is scored against photographs, but view {} has none", score.pass, view.stem),
+                "Score only views with photographs: choose them with `render: (views: …)`.",
+            )),
+            truth => truth.files().map_or(Ok(()), |files| {
+                read_fitting(&files.image(&view.name), Gamma::Srgb, &view.camera).map(drop)
+            }),
+        })?;
         // Layers are scored on the views of the first score.
         for (truth, layer) in [(&pass.albedo, Layer::Albedo), (&pass.normal, Layer::Normal)] {
             if let (0, Some(files)) = (i, truth.as_ref().and_then(LayerTruth::files)) {
-                let files = ViewFiles::of(files);
                 views.par_iter().try_for_each(|view| {
-                    files.read_layer(layer, [&view.stem, &view.name], &view.camera).map(|_| ())
+                    files.read_layer(layer, [&view.stem, &view.name], &view.camera).map(drop)
                 })?;
             }
         }
     }
     Ok(())
-}
-
-fn check_image(world: &World, pass: &str, truth: &Truth, view: &ChosenView) -> Result<()> {
-    match truth {
-        Truth::Photographs if world.get::<Photograph>(view.entity).is_none() => Err(Error::usage(
-            format!("pass {pass} is scored against photographs, but view {} has none", view.stem),
-            "Score only views with photographs: choose them with `render: (views: …)`.",
-        )),
-        _ => truth.files().map_or(Ok(()), |files| {
-            read_fitting(&ViewFiles::of(files).image(&view.name), Gamma::Srgb, &view.camera).map(|_| ())
-        }),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_file_that_changes_or_goes_is_told_of() {
-        let folder = tempfile::tempdir().unwrap();
-        let files = ["photo.png", "truth.png"].map(|name| folder.path().join(name));
-        files.iter().for_each(|file| fs::write(file, "old").unwrap());
-        let watched = Watched::new(files.iter().cloned());
-        watched.check().unwrap();
-        fs::write(&files[1], "newer").unwrap();
-        let error = watched.check().unwrap_err();
-        assert!(error.to_string().contains("truth.png: the file has changed"), "{error}");
-        assert_eq!(error.exit_code(), 2);
-        watched.clone().without([files[1].clone()].into_iter()).check().unwrap();
-        fs::remove_file(&files[0]).unwrap();
-        assert!(watched.check().unwrap_err().to_string().contains("photo.png: the file has gone"));
-    }
 }

@@ -29,10 +29,10 @@ pub enum Moment<'a> {
 /// Receives the notes, results and progress bars of a run.
 pub trait Progress {
     /// A note for the user that is not an error.
-    fn note(&self, text: &str);
+    fn note(&self, _text: &str) {}
 
     /// A line of result.
-    fn print(&self, text: &str);
+    fn print(&self, _text: &str) {}
 
     /// Creates a bar of `length` steps with a title; [`Bar::finish_and_clear`] or dropping removes it. A length of 0 is one that is not
     /// known, or not yet.
@@ -45,19 +45,19 @@ pub trait Progress {
 /// The progress bar of a task.
 pub trait Bar: Send + Sync {
     /// Adds finished steps.
-    fn inc(&self, steps: u64);
+    fn inc(&self, _steps: u64) {}
 
     /// Sets the number of finished steps.
-    fn set_position(&self, steps: u64);
+    fn set_position(&self, _steps: u64) {}
 
     /// Sets the number of all steps, once it is known better. The first that is not 0 ends the message of what was before.
     fn set_length(&self, _steps: u64) {}
 
     /// Sets the message beside the bar.
-    fn set_message(&self, message: String);
+    fn set_message(&self, _message: String) {}
 
     /// Finishes the task and removes the bar.
-    fn finish_and_clear(&self);
+    fn finish_and_clear(&self) {}
 }
 
 /// A [`Progress`] that passes everything on, and keeps lines of result and notes for the run's record.
@@ -103,16 +103,9 @@ impl Progress for RecordedMessages<'_> {
 pub struct Silent;
 
 impl Progress for Silent {
-    fn note(&self, _: &str) {}
-    fn print(&self, _: &str) {}
     fn bar(&self, _: &str, _: u64) -> Box<dyn Bar> {
         Box::new(Self)
     }
 }
 
-impl Bar for Silent {
-    fn inc(&self, _: u64) {}
-    fn set_position(&self, _: u64) {}
-    fn set_message(&self, _: String) {}
-    fn finish_and_clear(&self) {}
-}
+impl Bar for Silent {}

@@ -1,23 +1,17 @@
 //! Record of a run in its output folder: `run.json` lists the files that belong together, by which
 //! `--force` tells its own files from others.
 
-use crate::pass::run::preflight::{PassFiles, RUN, check_outputs, inputs, outputs};
-use crate::pass::run::resume::{self, RunStart};
-use crate::pass::{run::RunOptions, run::memory::Machine, run::session::METRICS};
+use crate::pass::run::preflight::{RUN, check_outputs, inputs, outputs};
+use crate::pass::run::{RunOptions, memory::Machine, resume, resume::RunStart, session::METRICS};
 use crate::report::{html::REPORT, scores::peak_rss_mib};
-use crate::scene::load::LoadedScene;
-use crate::survey::open::OpenScene;
+use crate::{scene::load::LoadedScene, survey::open::OpenScene};
 use lobelia_geometry::error::{Error, Result};
 use lobelia_io::codec::file::{
     FileUse, FolderLock, LOCK, MOST_TEXT, check_apart, clear_scratch, is_there, is_unfinished, read_text,
     write_bytes,
 };
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
-use std::ffi::OsStr;
-use std::fs;
-use std::path::{Component, Path, PathBuf};
-use std::time::Instant;
+use std::{collections::BTreeSet, ffi::OsStr, fs, path::Component, path::Path, path::PathBuf, time::Instant};
 
 const PROGRAM: &str = "lobelia";
 
@@ -67,8 +61,16 @@ pub(super) struct PassRecord {
     /// Its lines of result and its notes.
     #[serde(default)]
     pub said: Vec<String>,
-    /// Before it is finished: the files that it may write.
+    /// Paths below the output folder, with `/` between their parts; one that ends with `/` is a folder of which all files are the
+    /// pass's. Before it is finished: the files that it may write.
     pub files: Vec<String>,
+}
+
+impl PassRecord {
+    pub fn waiting(name: &str, files: Vec<String>) -> Self {
+        let (name, state) = (name.to_owned(), RunState::Waiting);
+        Self { name, state, secs: None, peak_rss_mib: None, said: Vec::new(), files }
+    }
 }
 
 /// The manifest.
@@ -178,12 +180,11 @@ pub(super) fn resumed(out: &Path, loaded: &LoadedScene) -> Result<Option<Record>
         let help = "Choose another folder with --out, or replace its results with --force.";
         return Err(Error::usage(problem, help));
     }
-    if record.state == RunState::Finished || resume::are_kept(out) {
+    if record.state == RunState::Finished || out.join(resume::FOLDER).is_dir() {
         return Ok(Some(record));
     }
     // Of a pass that waits there is what an earlier run left, if the process was killed before that was removed.
-    let written =
-        |pass: &PassRecord| pass.state != RunState::Waiting && !all_existing(out, &pass.files).is_empty();
+    let written = |of: &PassRecord| of.state != RunState::Waiting && !all_existing(out, &of.files).is_empty();
     if record.passes.iter().any(written) {
         let problem = format!(
             "the run in {} kept no checkpoints: --resume would begin again and remove its results",
@@ -210,7 +211,7 @@ fn all_existing<'a>(out: &Path, listed: impl IntoIterator<Item = &'a String>) ->
 pub(super) struct Claim {
     lock: FolderLock,
     out: PathBuf,
-    plan: Vec<PassFiles>,
+    plan: Vec<PassRecord>,
     /// The manifest of the run before, and the files that it lists, also of runs before that.
     before: Option<Record>,
     old: BTreeSet<String>,
@@ -220,14 +221,13 @@ impl Claim {
     /// Takes the output folder, once it is clear that nothing in it is read or somebody else's.
     ///
     /// # Errors
-    /// [`Error::Usage`] if another run writes there, something else is in the way, or an input would be
-    /// replaced or removed.
+    /// [`Error::Usage`] if another run writes there, something else is in the way, or an input would be replaced or removed.
     pub fn new(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -> Result<Self> {
         let out = &options.out;
         let plan = outputs(&loaded.scene, data, options.debug_every);
         let used = |file: &str, by: &str| FileUse::new(out.join(file), by);
-        let of_pass = |pass: &PassFiles| -> Vec<FileUse> {
-            let by = format!("pass {}", pass.pass);
+        let of_pass = |pass: &PassRecord| -> Vec<FileUse> {
+            let by = format!("pass {}", pass.name);
             pass.files.iter().map(|file| used(file, &by)).collect()
         };
         let of_run = OF_RUN.into_iter().chain([RUN]).map(|file| used(file, "the run"));
@@ -243,7 +243,7 @@ impl Claim {
     }
 
     /// Takes a folder for a run that may write `plan`, of which nothing may be there that no run has written.
-    fn of_plan(out: &Path, plan: Vec<PassFiles>) -> Result<Self> {
+    fn of_plan(out: &Path, plan: Vec<PassRecord>) -> Result<Self> {
         let lock = FolderLock::take(out)?;
         let before = Record::read(out);
         if before.is_none() && is_used(out) {
@@ -254,16 +254,9 @@ impl Claim {
             let help = "Choose another folder with --out. What an older version wrote is best moved away or removed.";
             return Err(Error::usage(problem, help));
         }
-        let old: BTreeSet<String> =
-            all_existing(out, before.iter().flat_map(Record::listed)).into_iter().collect();
+        let old = BTreeSet::from_iter(all_existing(out, before.iter().flat_map(Record::listed)));
         for folder in plan.iter().flat_map(folders_of).map(|folder| out.join(folder)) {
-            if folder.symlink_metadata().is_ok_and(|found| found.is_symlink()) {
-                let problem = format!(
-                    "{} is a symbolic link: a pass would write outside the output folder",
-                    folder.display()
-                );
-                return Err(Error::usage(problem, "Remove the link, or choose another folder with --out."));
-            }
+            resume::check_no_link(&folder)?;
         }
         for file in plan.iter().flat_map(|pass| &pass.files).map(String::as_str).chain(OF_RUN) {
             let there = match file.ends_with('/') {
@@ -281,8 +274,7 @@ impl Claim {
     /// The files of earlier runs but those of the passes that are `done`: those that are removed when this
     /// one begins, which are of [`OF_RUN`] or under the names of its passes, and those that stay.
     fn leftovers(&self, done: &[PassRecord]) -> (Vec<String>, Vec<String>) {
-        let names: BTreeSet<&str> =
-            self.plan.iter().skip(done.len()).map(|pass| pass.pass.as_str()).collect();
+        let names: BTreeSet<&str> = self.plan.iter().skip(done.len()).map(|pass| &*pass.name).collect();
         let is_old = |file: &&String| *file != RUN && !done.iter().any(|pass| pass.files.contains(file));
         let is_stale = |file: &String| {
             OF_RUN.contains(&file.as_str())
@@ -304,17 +296,17 @@ impl Claim {
     ) -> Result<RunRecord> {
         let mut passes = Vec::new();
         for pass in self.plan.iter().take(done) {
-            let is_same = |old: &&PassRecord| old.name == pass.pass && old.state == RunState::Finished;
+            let is_same = |old: &&PassRecord| old.name == pass.name && old.state == RunState::Finished;
             let old = self.before.iter().flat_map(|before| &before.passes).find(is_same);
             passes.push(PassRecord {
                 state: RunState::Finished,
                 files: all_existing(&self.out, &pass.files),
-                ..old.cloned().unwrap_or(waiting(pass))
+                ..old.unwrap_or(pass).clone()
             });
         }
-        let (stale, kept) = self.leftovers(&passes);
+        let (mut stale, kept) = self.leftovers(&passes);
         let Self { lock, out, plan, .. } = self;
-        passes.extend(plan.iter().skip(done).map(waiting));
+        passes.extend(plan.iter().skip(done).cloned());
         let mut record = Record {
             program: PROGRAM.into(),
             start,
@@ -331,42 +323,25 @@ impl Claim {
             earlier: [stale.clone(), kept.clone()].concat(),
         };
         record.write(&out)?;
-        clear(&out, stale, &plan)?;
+        // Old files go, and what was left unfinished. A saved scene must not outlive the files that it names.
+        stale.sort_by_key(|file| !file.ends_with(".ron"));
+        for file in &stale {
+            let path = out.join(file);
+            fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+        }
+        clear_scratch(&out)?;
+        let of_stale = stale.iter().flat_map(|file| parents(file));
+        let folders: BTreeSet<String> = plan.iter().flat_map(folders_of).chain(of_stale).collect();
+        // Those inside come before those around them.
+        for folder in folders.iter().rev().map(|folder| out.join(folder)) {
+            clear_scratch(&folder)?;
+            // Folders go if nothing is left in them.
+            let _ = fs::remove_dir(folder);
+        }
         record.earlier = kept;
         record.write(&out)?;
         Ok(RunRecord { record, out, began: Instant::now(), _lock: lock })
     }
-}
-
-fn waiting(pass: &PassFiles) -> PassRecord {
-    PassRecord {
-        name: pass.pass.clone(),
-        state: RunState::Waiting,
-        secs: None,
-        peak_rss_mib: None,
-        said: Vec::new(),
-        files: pass.files.clone(),
-    }
-}
-
-/// Removes old files, and what was left unfinished.
-fn clear(out: &Path, mut stale: Vec<String>, plan: &[PassFiles]) -> Result<()> {
-    // A saved scene must not outlive the files that it names.
-    stale.sort_by_key(|file| !file.ends_with(".ron"));
-    for file in &stale {
-        let path = out.join(file);
-        fs::remove_file(&path).map_err(Error::io("remove", &path))?;
-    }
-    clear_scratch(out)?;
-    let folders: BTreeSet<String> =
-        plan.iter().flat_map(folders_of).chain(stale.iter().flat_map(|file| parents(file))).collect();
-    // Those inside come before those around them.
-    for folder in folders.iter().rev().map(|folder| out.join(folder)) {
-        clear_scratch(&folder)?;
-        // Folders go if nothing is left in them.
-        let _ = fs::remove_dir(folder);
-    }
-    Ok(())
 }
 
 /// The folders that a listed path lies in, as paths below the output folder. One that ends with `/` is itself one of them.
@@ -375,8 +350,8 @@ fn parents(listed: &str) -> impl Iterator<Item = String> + use<'_> {
 }
 
 /// The folders that a pass may write into, as paths below the output folder.
-fn folders_of(pass: &PassFiles) -> BTreeSet<String> {
-    pass.files.iter().flat_map(|file| parents(file)).chain([pass.pass.clone()]).collect()
+fn folders_of(pass: &PassRecord) -> BTreeSet<String> {
+    pass.files.iter().flat_map(|file| parents(file)).chain([pass.name.clone()]).collect()
 }
 
 /// The manifest of a run that has begun; the folder is its own as long as this lives.
@@ -428,9 +403,8 @@ mod tests {
     use super::*;
     use crate::scene::load::{LoadOptions, load};
 
-    fn plan(files: &[&str]) -> Vec<PassFiles> {
-        let files = files.iter().map(|file| format!("novel/{file}")).collect();
-        vec![PassFiles { pass: "novel".into(), files }]
+    fn plan(files: &[&str]) -> Vec<PassRecord> {
+        vec![PassRecord::waiting("novel", files.iter().map(|file| format!("novel/{file}")).collect())]
     }
 
     const SCENE: &str = r#"Scene(

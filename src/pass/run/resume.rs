@@ -1,39 +1,28 @@
 //! The checkpoints of a run as files, and the state of a session beside its world.
 //!
-//! The manifest says with what the run was begun. `OUT/.checkpoint` has `N.state` for the beginning of pass
-//! N, and `N-part.state` for the last part of it that was done. A file counts if it is whole and of this
-//! run. The states of the last two passes are kept, so that there is one if the last is damaged.
+//! The manifest says with what the run was begun. `OUT/.checkpoint` has `pass.state` for the beginning of the pass at work, unless
+//! that is the first, and `part.state` for the last part of it that was done. A file counts if it is whole and of this run.
 
-use crate::pass::run::progress::Progress;
 use crate::pass::run::session::{PassState, Session};
-use crate::report::scores::Scores;
-use crate::scene::Scene;
 use crate::spawn::{insert_known_along, several_materials};
-use crate::survey::open::OpenScene;
+use crate::{pass::run::progress::Progress, report::scores::Scores, scene::Scene, survey::open::OpenScene};
 use glam::Vec3;
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
 use lobelia_geometry::mesh::{Surface, triangles::Mesh};
 use lobelia_io::codec::file::{clear_scratch, is_there, read_bytes, read_parts, write_file};
 use lobelia_solve::shape::run::replace_texels;
-use lobelia_world::checkpoint::{
-    self, Checkpoints, ResumePoint, Saved, Span, keep_part, keep_pass, take_part,
-};
-use lobelia_world::material::replace_materials;
-use lobelia_world::sample::point::Scenery;
+use lobelia_world::checkpoint::{Checkpoints, ResumePoint, Saved, Span, keep_part, keep_pass, take_part};
+use lobelia_world::{checkpoint, material::replace_materials, sample::point::Scenery};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Debug;
-use std::fs;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::time::Duration;
+use std::{collections::BTreeMap, fmt::Debug, fs, path::Path, path::PathBuf, sync::Arc, time::Duration};
 
 /// The folder of checkpoints, in the output folder.
-const FOLDER: &str = ".checkpoint";
-/// The ending of checkpoints.
-const ENDING: &str = ".state";
+pub(super) const FOLDER: &str = ".checkpoint";
+/// The checkpoint of the beginning of a pass, and that of a part of it.
+const PASS: &str = "pass.state";
+const PART: &str = "part.state";
 /// The name of the session's own state in a checkpoint.
 const SESSION: &str = "session";
 /// Time between two checkpoints where nothing is said.
@@ -121,19 +110,15 @@ impl RunStart {
         let lacks = |path: &&String| !now.inputs.contains_key(*path);
         let changed = now.inputs.iter().find(differs).map(|(path, _)| path);
         if let Some(path) = changed.or_else(|| self.inputs.keys().find(lacks)) {
-            return other(
-                format!("{path} is not what it was when the run was begun"),
-                "Put it back as it was",
-            );
+            let problem = format!("{path} is not what it was when the run was begun");
+            return other(problem, "Put it back as it was");
         }
         if self.views != now.views {
-            let problem =
-                "the cameras or lists of views of the data set are not what they were when the run was begun";
+            let problem = "the cameras or lists of views are not what they were when the run was begun";
             return other(problem, "Put them back as they were");
         }
         if self.within_memory != now.within_memory {
-            let problem =
-                "the run was begun with other sizes of its pools, because it was allowed other memory";
+            let problem = "the run was begun with other sizes of its pools, as it was allowed other memory";
             return other(problem, "Give the same --memory");
         }
         if self.threads != now.threads {
@@ -145,11 +130,6 @@ impl RunStart {
         }
         Ok(())
     }
-
-    /// The number that marks the checkpoints of this run.
-    fn mark(&self) -> u64 {
-        hash_of(self)
-    }
 }
 
 /// The error of a run that would go on with something else than it was begun with.
@@ -160,61 +140,41 @@ fn other(problem: impl Into<String>, remedy: &str) -> Result<()> {
 /// The head of a checkpoint, in JSON on a line of its own; the bytes of its parts follow.
 #[derive(Serialize, Deserialize)]
 struct Head {
-    /// [`RunStart::mark`] of the run.
+    /// Hash of the [`RunStart`] of the run.
     run: u64,
-    /// Hash of the names and bytes of all parts.
+    /// The pass at work.
+    pass: u32,
+    /// Hash of the pass and of the names and bytes of all parts.
     hash: u64,
     parts: Vec<(String, usize)>,
 }
 
-fn hash_of_parts(saved: &Saved) -> u64 {
-    saved.0.iter().fold(NOTHING, |hash, (name, bytes)| hash_on(hash_on(hash, name.as_bytes()), bytes))
+fn hash_of_parts(pass: u32, saved: &Saved) -> u64 {
+    let start = hash_on(NOTHING, &pass.to_le_bytes());
+    saved.0.iter().fold(start, |hash, (name, bytes)| hash_on(hash_on(hash, name.as_bytes()), bytes))
 }
 
-fn path_of(folder: &Path, place: ResumePoint) -> PathBuf {
-    folder.join(match place {
-        ResumePoint::Pass(pass) => format!("{pass}{ENDING}"),
-        ResumePoint::Part(pass) => format!("{pass}-part{ENDING}"),
-    })
-}
-
-/// Writes a checkpoint: those that are not needed any more go when another one is written.
+/// Writes a checkpoint in place of the one before.
 fn write(folder: &Path, run: u64, place: ResumePoint, saved: &Saved) -> Result<()> {
-    let path = path_of(folder, place);
+    let (pass, path) = match place {
+        ResumePoint::Pass(pass) => (pass, folder.join(PASS)),
+        ResumePoint::Part(pass) => (pass, folder.join(PART)),
+    };
     let parts = saved.0.iter().map(|(name, bytes)| (name.clone(), bytes.len())).collect();
-    let head = serde_json::to_string(&Head { run, hash: hash_of_parts(saved), parts })
+    let head = serde_json::to_string(&Head { run, pass, hash: hash_of_parts(pass, saved), parts })
         .map_err(|error| Error::run("writing a checkpoint", error.to_string()))?;
     write_file(&path, |writer| {
         let mut parts = saved.0.iter();
         let written = writeln!(writer, "{head}")
             .and_then(|()| parts.try_for_each(|(_, bytes)| writer.write_all(bytes)));
         written.map_err(Error::io("write", &path))
-    })?;
-    let ResumePoint::Pass(now) = place else { return Ok(()) };
-    for (pass, is_part, path) in states(folder) {
-        if pass + 1 < now || is_part && pass < now {
-            // One that cannot be removed does no harm.
-            let _ = fs::remove_file(path);
-        }
-    }
-    Ok(())
+    })
 }
 
-/// The checkpoints in a folder: number of the pass, whether it is of a part, and path.
-fn states(folder: &Path) -> Vec<(u32, bool, PathBuf)> {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let state = |entry: fs::DirEntry| {
-        let name = entry.file_name().into_string().ok()?;
-        let stem = name.strip_suffix(ENDING)?;
-        let (number, is_part) = stem.strip_suffix("-part").map_or((stem, false), |number| (number, true));
-        Some((number.parse().ok()?, is_part, entry.path()))
-    };
-    entries.filter_map(state).collect()
-}
-
-fn read(path: &Path, run: u64) -> Result<Saved> {
+/// The pass that a checkpoint is of, and its state.
+fn read(path: &Path, run: u64) -> Result<(u32, Saved)> {
     let bytes = read_bytes(path, |_| START_AGAIN.to_owned())?;
-    let saved = || -> Option<Saved> {
+    let saved = || {
         let end = bytes.iter().position(|byte| *byte == b'\n')?;
         let head: Head = serde_json::from_slice(&bytes[..end]).ok()?;
         let mut rest = &bytes[end + 1..];
@@ -224,57 +184,36 @@ fn read(path: &Path, run: u64) -> Result<Saved> {
             saved.0.push((name, part.to_vec()));
             rest = after;
         }
-        (head.run == run && rest.is_empty() && head.hash == hash_of_parts(&saved)).then_some(saved)
+        let is_whole = head.run == run && rest.is_empty() && head.hash == hash_of_parts(head.pass, &saved);
+        is_whole.then_some((head.pass, saved))
     };
     saved().ok_or_else(|| Error::input(path, "", "the checkpoint is damaged", START_AGAIN))
 }
 
 /// The last place at which the run in a folder can be taken up, its very beginning if it has kept nothing
 /// yet: the passes that are done, the state at the beginning of the next, unless that is the first, and the
-/// state at the beginning of a part of it.
+/// state at the beginning of a part of it. A note tells of a part that cannot be used.
 ///
 /// # Errors
-/// [`Error::Input`] if none of several checkpoints can be used; a note tells of those that cannot.
+/// [`Error::Input`] if the beginning of the pass cannot be used.
 fn find(folder: &Path, run: u64, progress: &dyn Progress) -> Result<(u32, Option<Saved>, Option<Saved>)> {
-    let passes: BTreeSet<u32> = states(folder).into_iter().map(|(pass, ..)| pass).collect();
-    let mut first = None;
-    let mut read = |place: ResumePoint| {
-        let path = path_of(folder, place);
-        let tell = |error| {
-            progress.note(&format!("{error}; the one before is taken"));
-            first.get_or_insert(error);
-        };
-        if is_there(&path) { read(&path, run).map_err(tell).ok() } else { None }
-    };
-    for pass in passes.into_iter().rev() {
-        let part = read(ResumePoint::Part(pass));
-        // The beginning of the first pass needs no state.
-        if pass == 0 {
-            return Ok((0, None, part));
-        }
-        if let Some(state) = read(ResumePoint::Pass(pass)) {
-            return Ok((pass, Some(state), part));
-        }
-    }
-    first.map_or(Ok((0, None, None)), Err)
-}
-
-/// Whether the run in a folder has come so far as to keep checkpoints.
-pub(super) fn are_kept(out: &Path) -> bool {
-    out.join(FOLDER).is_dir()
+    let [pass, part] = [PASS, PART].map(|file| Some(folder.join(file)).filter(|file| is_there(file)));
+    let (done, state) = pass.map(|path| read(&path, run)).transpose()?.unzip();
+    let done = done.unwrap_or(0);
+    let part = part.and_then(|path| {
+        let tell = |error| progress.note(&format!("{error}; the pass begins again"));
+        read(&path, run).map_err(tell).ok()
+    });
+    // A part of an earlier pass is of no use any more.
+    Ok((done, state, part.filter(|(pass, _)| *pass == done).map(|(_, part)| part)))
 }
 
 /// Has the session's run keep checkpoints; one that is `resumed` takes up where it was. Returns how many passes are done.
 ///
 /// # Errors
 /// [`Error::Input`] if no checkpoint can be used; [`Error::Run`] if the state is of another world.
-pub(super) fn take_up(
-    session: &mut Session,
-    begun: &RunStart,
-    resumed: bool,
-    every: Duration,
-) -> Result<usize> {
-    let (run, folder) = (begun.mark(), session.out.join(FOLDER));
+pub(super) fn take_up(session: &mut Session, of: &RunStart, resumed: bool, every: Duration) -> Result<usize> {
+    let (run, folder) = (hash_of(of), session.out.join(FOLDER));
     let (pass, state, part) = if resumed { find(&folder, run, session.progress)? } else { (0, None, None) };
     if resumed {
         let words = match session.scene.passes.get(pass as usize) {
@@ -298,9 +237,8 @@ pub(super) fn take_up(
 pub(super) fn clear(out: &Path) -> Result<()> {
     let folder = out.join(FOLDER);
     check_folder(out)?;
-    let states = states(&folder).into_iter().map(|(.., path)| path);
-    for path in states {
-        fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+    for path in [PASS, PART].map(|file| folder.join(file)).iter().filter(|path| is_there(path)) {
+        fs::remove_file(path).map_err(Error::io("remove", path))?;
     }
     clear_scratch(&folder)?;
     // It stays if it has something else.
@@ -310,10 +248,14 @@ pub(super) fn clear(out: &Path) -> Result<()> {
 
 /// Checks that checkpoints are not written somewhere else.
 pub(super) fn check_folder(out: &Path) -> Result<()> {
-    let folder = out.join(FOLDER);
+    check_no_link(&out.join(FOLDER))
+}
+
+/// Refuses a folder in the output folder that is a symbolic link.
+pub(super) fn check_no_link(folder: &Path) -> Result<()> {
     if folder.symlink_metadata().is_ok_and(|found| found.is_symlink()) {
         let problem =
-            format!("{} is a symbolic link: checkpoints would be written elsewhere", folder.display());
+            format!("{} is a symbolic link: the run would write outside the output folder", folder.display());
         return Err(Error::usage(problem, "Remove the link, or choose another folder with --out."));
     }
     Ok(())
@@ -329,8 +271,7 @@ struct SessionState {
     surface: Option<(Mesh, u32)>,
 }
 
-/// Keeps the state of the session after so many passes, or without a number at the beginning of another part of the pass
-/// at work.
+/// Keeps the state of the session after so many passes, or without a number at the beginning of another part of the pass at work.
 pub(crate) fn keep(session: &mut Session, done: Option<usize>) -> Result<()> {
     let world = &mut session.pipeline.world;
     if !checkpoint::are_kept(world) {
@@ -409,40 +350,27 @@ mod tests {
         out
     }
 
-    fn names(out: &tempfile::TempDir) -> Vec<String> {
-        let name =
-            |(.., path): (u32, bool, PathBuf)| path.file_name().unwrap().to_string_lossy().into_owned();
-        let mut names: Vec<String> = states(&folder(out)).into_iter().map(name).collect();
-        names.sort();
-        names
-    }
-
     /// The pass that a run goes on with, and the states of its beginning and of a part of it.
     fn found(out: &tempfile::TempDir) -> (u32, Option<Saved>, Option<Saved>) {
         find(&folder(out), RUN, &Silent).unwrap()
     }
 
     #[test]
-    fn the_last_two_passes_and_the_last_part_are_kept() {
+    fn the_last_pass_and_the_last_part_of_it_are_kept() {
         let out = killed();
-        assert_eq!(names(&out), ["1.state", "2-part.state", "2.state"]);
         assert_eq!(found(&out), (2, Some(saved("2")), Some(saved("2-part"))));
         write(&folder(&out), RUN, ResumePoint::Pass(3), &saved("3")).unwrap();
-        assert_eq!(names(&out), ["2.state", "3.state"]);
         assert_eq!(found(&out), (3, Some(saved("3")), None));
         let out = tempfile::tempdir().unwrap();
         assert_eq!(found(&out), (0, None, None));
         write(&folder(&out), RUN, ResumePoint::Part(0), &saved("0-part")).unwrap();
         assert_eq!(found(&out), (0, None, Some(saved("0-part"))));
-        std::fs::write(folder(&out).join("0-part.state"), "x").unwrap();
-        assert_eq!(found(&out), (0, None, None));
     }
 
     #[test]
-    fn instead_of_a_damaged_checkpoint_the_one_before_is_taken() {
+    fn a_damaged_part_is_left_out_and_a_damaged_beginning_refused() {
         let out = killed();
-        let file = |name: &str| folder(&out).join(name);
-        let part = file("2-part.state");
+        let [pass, part] = [PASS, PART].map(|name| folder(&out).join(name));
         let whole = std::fs::read(&part).unwrap();
         for at in 0..whole.len() {
             let mut bytes = whole.clone();
@@ -453,22 +381,13 @@ mod tests {
             }
         }
         std::fs::write(&part, &whole).unwrap();
-        // A part is worth nothing without the beginning of its pass.
-        std::fs::write(file("2.state"), b"x").unwrap();
-        assert_eq!(found(&out), (1, Some(saved("1")), None));
-        std::fs::remove_file(file("1.state")).unwrap();
-        let error = find(&folder(&out), RUN, &Silent).err().unwrap();
-        assert!(error.exit_code() == 2 && error.help().is_some(), "{error}");
-    }
-
-    #[test]
-    fn checkpoints_of_another_run_are_none() {
-        let out = killed();
-        let error = find(&folder(&out), RUN + 1, &Silent).err().unwrap();
-        assert!(error.to_string().contains("damaged"), "{error}");
-        std::fs::write(folder(&out).join("3-x.state"), "").unwrap();
-        std::fs::write(folder(&out).join("9-9.state"), "").unwrap();
-        assert_eq!(found(&out).0, 2);
+        let refused = |run| {
+            let error = find(&folder(&out), run, &Silent).err().unwrap();
+            assert!(error.exit_code() == 2 && error.to_string().contains("damaged"), "{error}");
+        };
+        refused(RUN + 1);
+        std::fs::write(&pass, b"x").unwrap();
+        refused(RUN);
     }
 
     #[test]

@@ -1,26 +1,22 @@
 //! State that the passes of one run share.
 
-use crate::pass::photograph::{self, TrueObject};
 use crate::pass::run::preflight::{Watched, check_cameras, check_passes};
-use crate::pass::{run::RunOptions, run::progress::Progress, run::summary::Reporter};
+use crate::pass::run::progress::Progress;
+use crate::pass::{photograph, photograph::TrueObject, run::RunOptions, run::summary::Reporter};
 use crate::report::scores::{FrameTried, PlacementFound, Scores, peak_rss_mib};
 use crate::scene::{Albedo, Light, LightSource, Pass, PlacementLight, Scene, Views, Visibility};
 use crate::spawn::{LoadedLight, SurfaceUse, light::angles, load_light, make_surface, spawn, unknowns};
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
-use lobelia_geometry::mesh::Surface;
-use lobelia_geometry::view::ViewRecord;
+use lobelia_geometry::{mesh::Surface, view::ViewRecord};
 use lobelia_solve::fit::run::{Done, FitPlugin, FitSummary, Initialize};
 use lobelia_solve::fit::{FramesTried, components::Unknowns, guard::StepGuard};
-use lobelia_solve::shade::frame::FramePlugin;
-use lobelia_solve::visibility::{ObjectVisibility, VisibilitySettings};
-use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
+use lobelia_solve::{
+    shade::frame::FramePlugin, visibility::ObjectVisibility, visibility::VisibilitySettings,
+};
 use lobelia_world::light::placement::{PlacementTurn, Placements, TurnSource};
-use lobelia_world::pipeline::Pipeline;
+use lobelia_world::{light::light_frame::LightFrame, light::light_frame::OwnLightFrame, pipeline::Pipeline};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
-use std::path::PathBuf;
-use std::sync::Arc;
-use std::time::Instant;
+use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Instant};
 use tracing::info_span;
 
 /// The scores of a run, in its output folder.
@@ -31,8 +27,7 @@ const MOST_VISIBILITY_BYTES: usize = 4 << 30;
 /// What passes leave to later ones beside the world; checkpoints keep it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct PassState {
-    /// Unknowns that the next fit initializes from the data: those without an initial value, until
-    /// there has been a fit.
+    /// Unknowns that the next fit initializes from the data: those without an initial value, until there has been a fit.
     pub initialize: Initialize,
     /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found something.
     pub has_object: bool,
@@ -40,16 +35,9 @@ pub(crate) struct PassState {
     pub several: bool,
     /// The parts of the fit at work that are done.
     pub chosen: Chosen,
-    /// Means beside shading that have placed the surface.
-    pub placed: Placed,
-}
-
-/// Means beside shading that have placed a surface: a fit then leaves its vertices where they are.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Placed {
-    /// Its normals are not those of its triangles, but found from reflections.
-    pub normals: bool,
-    /// Stereo has moved much of it.
+    /// Whether the surface's normals are not those of its triangles, but found from reflections, and whether stereo has moved much of it:
+    /// a fit then leaves its vertices where they are.
+    pub normals_found: bool,
     pub by_stereo: bool,
 }
 
@@ -76,8 +64,7 @@ pub(crate) struct Session<'a> {
     /// The object that took its own photographs, if there is one.
     pub truth: Option<TrueObject>,
     pub out: PathBuf,
-    /// The scene's own light, if it is not unknown. All lights are read before anything is fitted, so that
-    /// a bad file is found at once.
+    /// The scene's own light, if it is not unknown. All lights are read before anything is fitted, so that a bad file is found at once.
     pub own_light: Option<LoadedLight>,
     /// Lights of passes, by the pass's name.
     pub pass_lights: BTreeMap<String, LoadedLight>,
@@ -92,9 +79,8 @@ pub(crate) struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    /// Puts the scene and its views into a world, reads its other inputs, and checks all passes. Nothing is
-    /// written yet. Photographs that the scene makes of its own object have pixels if they are to be
-    /// `rendered`; checks look at none.
+    /// Puts the scene and its views into a world, reads its other inputs, and checks all passes. Nothing is written yet. Photographs that
+    /// the scene makes of its own object have pixels if they are to be `rendered`; checks look at none.
     pub fn open(
         scene: &'a Scene,
         mut views: Vec<ViewRecord>,
@@ -112,23 +98,19 @@ impl<'a> Session<'a> {
             light.notes.iter().for_each(|note| progress.note(note));
             Ok(light)
         };
-        let own_light = match &scene.light {
-            Light::Initial(source) | Light::Fixed(source) => Some(load(source)?),
-            Light::Unknown(_) => None,
-        };
+        let own_light = scene.light.source().map(load).transpose()?;
         let of_group = |light: PlacementLight| match light {
             PlacementLight::Fixed(source) => load(&source).map(Some),
             PlacementLight::Own | PlacementLight::Same => Ok(None),
         };
-        let other_lights: Vec<Option<LoadedLight>> =
-            scene.views.other_lights().into_iter().map(of_group).collect::<Result<_>>()?;
+        let others: Vec<_> = scene.views.other_lights().into_iter().map(of_group).collect::<Result<_>>()?;
         let of_pass = |pass: &Pass| Some(load(pass.light()?).map(|light| (pass.name().to_owned(), light)));
         let pass_lights = scene.passes.iter().filter_map(of_pass).collect::<Result<_>>()?;
         let mut truth = None;
         if let Views::Photographed(spec) = &scene.views {
             let truth = truth.insert(TrueObject::new(spec, &surface)?);
             views = match rendered {
-                true => photograph::take(truth, spec, scene, progress)?,
+                true => truth.take(spec, scene, progress)?,
                 false => photograph::imagine(spec, scene)?,
             };
         }
@@ -139,7 +121,8 @@ impl<'a> Session<'a> {
             specular: scene.material.specular.is_open(),
         };
         let has_object = !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_)));
-        let (chosen, placed) = (Chosen::default(), Placed::default());
+        let chosen = Chosen::default();
+        let (several, normals_found, by_stereo) = (false, false, false);
         let mut session = Self {
             scene,
             pipeline: Pipeline::new(),
@@ -152,7 +135,7 @@ impl<'a> Session<'a> {
             debug_every: options.debug_every,
             progress,
             scores: Scores::default(),
-            kept: PassState { initialize, has_object, several: false, chosen, placed },
+            kept: PassState { initialize, has_object, several, chosen, normals_found, by_stereo },
             watched: Watched::default(),
             report: Reporter::default(),
         };
@@ -161,7 +144,7 @@ impl<'a> Session<'a> {
             session.pipeline.world.insert_resource(device.clone());
         }
         let Self { pipeline, surface, own_light, .. } = &mut session;
-        spawn(pipeline, scene, surface, views, own_light.as_ref(), &other_lights)?;
+        spawn(pipeline, scene, surface, views, own_light.as_ref(), &others)?;
         check_passes(&mut session)?;
         Ok(session)
     }
@@ -174,18 +157,14 @@ impl<'a> Session<'a> {
         if !self.pipeline.world.contains_resource::<ObjectVisibility>() {
             let settings = VisibilitySettings { directions, bounces, refresh_every };
             let texels = self.surface.atlas().covered.iter().filter(|covered| **covered).count();
-            let bytes = settings.bytes(
-                texels,
-                self.scene.views.placements(),
-                self.scene.views.other_lights().len() + 1,
-            );
+            let views = &self.scene.views;
+            let bytes = settings.bytes(texels, views.placements(), views.other_lights().len() + 1);
             if bytes > MOST_VISIBILITY_BYTES {
                 let gib = bytes as f64 / f64::from(1 << 30);
-                let problem =
-                    format!("shadows of {texels} texels in {directions} directions may take {gib:.1} GiB");
-                let help =
-                    "Lower `texture_size` or `visibility: Traced(directions: …)`, or say `visibility: None`.";
-                return Err(Error::usage(problem, help));
+                return Err(Error::usage(
+                    format!("shadows of {texels} texels in {directions} directions may take {gib:.1} GiB"),
+                    "Lower `texture_size` or `visibility: Traced(directions: …)`, or say `visibility: None`.",
+                ));
             }
             let start = Instant::now();
             let _tracing = info_span!("shadows traced").entered();
@@ -202,11 +181,6 @@ impl<'a> Session<'a> {
         Ok(!self.pipeline.world.resource::<ObjectVisibility>().sees_all())
     }
 
-    /// The frame in which the scene's own light stands still; `None` if a fit is to find it.
-    pub fn light_frame(&self) -> Option<LightFrame> {
-        self.scene.light_frame.frame(&self.scene.light)
-    }
-
     /// Says which frame the pass found the light to stand still in, if it looked for it.
     pub fn report_light_frame(&mut self, pass: &str) {
         let world = &mut self.pipeline.world;
@@ -216,16 +190,14 @@ impl<'a> Session<'a> {
         self.scores.light_frames_tried =
             tried.iter().map(|(frame, error)| FrameTried { frame: frame.words(), error: *error }).collect();
         let error = |of: LightFrame| tried.iter().find(|(frame, _)| *frame == of).map(|(_, error)| *error);
-        if let (Some(own), Some(world)) = (error(frame), error(LightFrame::World)) {
-            let found = frame.words();
-            let beside = match frame {
-                LightFrame::World => String::new(),
-                _ => format!(
-                    " (error of the initialization {own:.4}; as one that stands around the object {world:.4})"
-                ),
-            };
-            self.progress.print(&format!("{pass}: the light {found}{beside}"));
-        }
+        let (Some(own), Some(world)) = (error(frame), error(LightFrame::World)) else { return };
+        let beside = match frame {
+            LightFrame::World => String::new(),
+            _ => format!(
+                " (error of the initialization {own:.4}; as one that stands around the object {world:.4})"
+            ),
+        };
+        self.progress.print(&format!("{pass}: the light {}{beside}", frame.words()));
     }
 
     /// Says how the object lies in placements whose rotation the pass has found.
@@ -249,19 +221,12 @@ impl<'a> Session<'a> {
     /// Returns the unknowns that a fit may move now.
     pub fn unknowns(&self) -> Unknowns {
         let found = unknowns(self.scene);
-        if self.kept.several {
-            Unknowns { blends: true, mono_specular: false, metal: true, ..found }
-        } else {
-            found
-        }
+        let several = Unknowns { blends: true, mono_specular: false, metal: true, ..found };
+        if self.kept.several { several } else { found }
     }
 
     pub fn pass_named(&self, name: Option<&str>) -> Option<&'a Pass> {
         self.scene.passes.iter().find(|pass| Some(pass.name()) == name)
-    }
-
-    pub fn folder(&self, pass: &str) -> PathBuf {
-        self.out.join(pass)
     }
 
     pub fn write_scores(&mut self) -> Result<()> {

@@ -1,33 +1,25 @@
-//! `OUT/report.html`: what is in the folder of a run, as one page, and runs in a table. Both are made of
-//! the run's files alone, so that the report of a run that goes on, of one that ended, and of several
-//! side by side are made in the same way.
+//! `OUT/report.html`: what is in the folder of a run, as one page, and runs in a table. Both are made of the run's files alone, so that the
+//! report of a run that goes on, of one that ended, and of several side by side are made in the same way.
 
-use crate::pass::fit::steps::{COLUMNS, LOG_EVERY, log_line};
-use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
+use crate::pass::fit::{TRUE_ENVIRONMENT, light_files, steps::COLUMNS, steps::LOG_EVERY, steps::log_line};
 use crate::pass::run::record::{PassRecord, Record, RunState};
-use crate::pass::{
-    evaluate::PARTS, run::preflight::RUN, run::session::METRICS, view::embedded, view_report::csv_entry,
-};
+use crate::pass::{evaluate::PARTS, run::session::METRICS, view::embedded, view_report::csv_entry};
 use crate::report::html::{
     FitFinding, FitLog, PassReport, PassViews, REPORT, ReportPicture, RunReport, ViewReport, html,
 };
-use crate::report::scores::{Scores, aligned};
-use crate::report::sheet::choose_evenly;
-use crate::report::tone::{MAT, jpeg_address, thumbnail_jpeg};
-use crate::scene::fields;
+use crate::report::{scores::Scores, scores::aligned, tone::MAT, tone::jpeg_address, tone::thumbnail_jpeg};
+use crate::{pass::run::preflight::RUN, report::sheet::choose_evenly, scene::fields};
 use bevy_ecs::prelude::{Entity, World};
 use image::{Rgb, RgbImage, RgbaImage};
 use indexmap::{IndexMap, IndexSet};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::{ViewIndex, ViewName};
+use lobelia_geometry::{error::Error, error::Result, view::ViewIndex, view::ViewName};
 use lobelia_io::codec::file::{MOST_TEXT, is_there, read_text, read_up_to, write_bytes};
 use lobelia_io::codec::image::decode;
 use lobelia_sg::color::srgb_from_linear;
 use lobelia_solve::fit::{loss::sums_of_step, run::FitProgress};
 use lobelia_world::material::SpecularLobe;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::{path::Path, path::PathBuf, time::Duration, time::Instant};
 
 /// Bytes of `data:` addresses in the report of one run, at most: with them it stays below 10 MB.
 const BUDGET: usize = 9_000_000;
@@ -74,11 +66,10 @@ impl Reporter {
     /// A reporter; if the run is watched (`live`), its pages load themselves again until it ends.
     pub fn new(live: bool) -> Self {
         let begin = || Live { pass: String::new(), log: String::new(), written: Instant::now() };
-        Self { pictures: Pictures::default(), live: live.then(begin) }
+        Self { live: live.then(begin), ..Self::default() }
     }
 
-    /// Takes in a step of a fit or shape, and now and then writes a page with its curves and worst views,
-    /// if the run is watched.
+    /// Takes in a step of a fit or shape, and now and then writes a page with its curves and worst views, if the run is watched.
     pub fn step(&mut self, out: &Path, pass: &str, step: u32, at: &FitProgress, world: &mut World) {
         let Some(Live { pass: of, log, written }) = &mut self.live else { return };
         if of != pass {
@@ -108,7 +99,7 @@ impl Reporter {
 
     fn write_with(&mut self, out: &Path, add: impl FnOnce(&mut RunReport)) -> Result<()> {
         let record =
-            Record::read(out).ok_or_else(|| Error::run("the report", format!("{RUN} cannot be read")))?;
+            Record::read(out).ok_or_else(|| Error::run("report", format!("{RUN} cannot be read")))?;
         let scores = read_scores(out).unwrap_or_default();
         let mut report = gather(out, &record, scores, &mut self.pictures);
         add(&mut report);
@@ -122,8 +113,8 @@ impl Reporter {
 fn worst_views(world: &mut World) -> PassViews {
     let sums = world.run_system_cached(sums_of_step).ok().and_then(|sums| sums.ok()).unwrap_or_default();
     let mut query = world.query::<(Entity, &ViewIndex, &ViewName)>();
-    let view = |(entity, index, name): (Entity, &ViewIndex, &ViewName)| {
-        Some((sums.of(*index).psnr()?, entity, name.0.clone()))
+    let view = |(view, index, name): (Entity, &ViewIndex, &ViewName)| {
+        Some((sums.of(*index).psnr()?, view, name.0.clone()))
     };
     let mut views: Vec<(f64, Entity, String)> = query.iter(world).filter_map(view).collect();
     views.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -132,11 +123,8 @@ fn worst_views(world: &mut World) -> PassViews {
         let truth = photograph.map(|photograph| photograph.address);
         ViewReport { name: format!("{name}, {psnr:.1} dB"), truth, ..ViewReport::default() }
     });
-    PassViews {
-        pass: "worst training views, by the pixels of the last step".to_owned(),
-        views: shown.collect(),
-        left_out: 0,
-    }
+    let pass = "worst training views, by the pixels of the last step".to_owned();
+    PassViews { pass, views: shown.collect(), left_out: 0 }
 }
 
 /// Reads the contents of the report of a run in `out` from its files.
@@ -147,17 +135,13 @@ fn worst_views(world: &mut World) -> PassViews {
 pub fn read_run(out: &Path) -> Result<RunReport> {
     let shown = out.display();
     let refuse = |problem: String, help: &str| Err(Error::usage(problem, help));
-    if !out.is_dir() {
-        let what = if is_there(out) { "is not a folder" } else { "is not there" };
-        return refuse(format!("{shown} {what}"), "Give the output folder of a run.");
-    }
     let Some(record) = Record::read(out) else {
-        if !is_there(&out.join(RUN)) {
-            let problem = format!("{shown} is not the folder of a run: it has no {RUN}");
-            return refuse(problem, "Give the output folder of a run.");
+        if is_there(&out.join(RUN)) {
+            let problem = format!("{} was not written by this version of lobelia", out.join(RUN).display());
+            return refuse(problem, "Run the scene again, with this version.");
         }
-        let problem = format!("{} was not written by this version of lobelia", out.join(RUN).display());
-        return refuse(problem, "Run the scene again, with this version.");
+        let is = if out.is_dir() { "is not the folder of a run: it has no run.json" } else { "is not there" };
+        return refuse(format!("{shown} {is}"), "Give the output folder of a run.");
     };
     if !is_there(&out.join(METRICS)) {
         let help = "Run the scene until a pass has ended; `lobelia run` writes a report after each.";
@@ -177,8 +161,7 @@ fn read_scores(out: &Path) -> Result<Scores> {
     })
 }
 
-/// Gathers all that there is of a run. Unreadable files are left out: a run may have been stopped
-/// anywhere, and its files moved.
+/// Gathers all that there is of a run. Unreadable files are left out: a run may have been stopped anywhere, and its files moved.
 fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) -> RunReport {
     pictures.left = BUDGET;
     let is_fit = |pass: &&PassRecord| pass.files.contains(&format!("{}/log.csv", pass.name));
@@ -225,12 +208,10 @@ fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) 
     }
 }
 
-/// The columns of a log; `None` if there are none. A fit that begins again repeats its steps: the last
-/// count.
+/// The columns of a log; `None` if there are none. A fit that begins again repeats its steps: the last count.
 fn parse_log(pass: &str, text: &str) -> Option<FitLog> {
     let mut lines = text.lines();
-    let mut columns: Vec<(String, Vec<f64>)> =
-        lines.next()?.split(',').map(|name| (name.to_owned(), Vec::new())).collect();
+    let mut columns: Vec<(_, Vec<f64>)> = lines.next()?.split(',').map(|n| (n.to_owned(), vec![])).collect();
     for line in lines {
         let step = line.split(',').next()?.parse().unwrap_or(f64::NAN);
         let kept = columns[0].1.iter().take_while(|before| **before < step).count();
@@ -265,9 +246,7 @@ fn findings(out: &Path, fits: &[&str], scores: &Scores) -> Vec<FitFinding> {
     if let Some(scale) = &scores.scale {
         let sure = match scale.rule.as_str() {
             "Known" => "",
-            _ => {
-                " — photographs do not determine it: brightness of light and albedo are known up to this choice"
-            }
+            _ => " — photographs do not determine it: light and albedo are known up to this choice",
         };
         found.push(plain("scale between light and albedo", format!("{}{sure}", scale.rule)));
         found.push(colored("mean light".into(), scale.mean_light, ""));
@@ -317,8 +296,7 @@ fn scored_views(out: &Path, record: &Record, scores: &Scores, pictures: &mut Pic
     }
     ranked.sort_by_key(|(rank, pass, ..)| (*rank, *pass));
     for (_, pass, folder, name) in ranked {
-        let [truth, render, error] =
-            PARTS.map(|part| pictures.file(&folder.join(format!("{name}_{part}.jpg"))));
+        let [truth, render, error] = PARTS.map(|p| pictures.file(&folder.join(format!("{name}_{p}.jpg"))));
         if render.is_some() {
             passes[pass].views.push(ViewReport { name: name.to_owned(), truth, render, error });
         } else {
@@ -332,34 +310,26 @@ fn scored_views(out: &Path, record: &Record, scores: &Scores, pictures: &mut Pic
 fn unscored_views(out: &Path, record: &Record, scores: &Scores, pictures: &mut Pictures) -> Vec<PassViews> {
     let mut views = Vec::new();
     for pass in record.passes.iter().filter(|pass| pass.state == RunState::Finished) {
-        let stems = stems_of(pass);
+        // The views that it rendered, each an EXR and a PNG. A fit writes such pairs as well, with its light.
+        let start = pass.name.len() + 1;
+        let files: BTreeSet<&str> = pass.files.iter().filter_map(|file| file.get(start..)).collect();
+        let is_view = |stem: &&str| !stem.contains('/') && files.contains(format!("{stem}.exr").as_str());
+        let stems = files.iter().filter_map(|file| file.strip_suffix(".png")).filter(is_view);
+        let stems: Vec<&str> = stems.filter(|_| !files.contains("light.npy")).collect();
         if stems.is_empty() || scores.passes.contains_key(&pass.name) {
             continue;
         }
         let view = |i: usize| {
             let path = out.join(&pass.name).join(format!("{}.png", stems[i]));
             let render = pictures.small(&path, UNSCORED_SIDE);
-            render.is_some().then(|| ViewReport {
-                name: stems[i].to_owned(),
-                render,
-                ..ViewReport::default()
-            })
+            let name = stems[i].to_owned();
+            render.is_some().then(|| ViewReport { name, render, ..ViewReport::default() })
         };
-        let shown: Vec<ViewReport> =
-            choose_evenly(stems.len(), UNSCORED_VIEWS).into_iter().filter_map(view).collect();
+        let shown: Vec<_> = choose_evenly(stems.len(), UNSCORED_VIEWS).into_iter().filter_map(view).collect();
         let left_out = stems.len() - shown.len();
         views.push(PassViews { pass: pass.name.clone(), views: shown, left_out });
     }
     views
-}
-
-/// The views that a pass rendered, each an EXR and a PNG. A fit writes such pairs as well, with its light.
-fn stems_of(pass: &PassRecord) -> Vec<&str> {
-    let start = pass.name.len() + 1;
-    let files: BTreeSet<&str> = pass.files.iter().filter_map(|file| file.get(start..)).collect();
-    let stems = files.iter().filter_map(|file| file.strip_suffix(".png"));
-    let is_view = |stem: &&str| !stem.contains('/') && files.contains(format!("{stem}.exr").as_str());
-    if files.contains("light.npy") { Vec::new() } else { stems.filter(is_view).collect() }
 }
 
 /// The table of runs for the terminal; each has a name and its output folder.
@@ -369,8 +339,7 @@ pub fn table_of_runs(runs: &[(String, &Path)]) -> String {
 
 /// The table of runs as CSV, with a line of column names first.
 pub fn csv_of_runs(runs: &[(String, &Path)]) -> String {
-    let line =
-        |row: &Vec<String>| row.iter().map(|entry| csv_entry(entry)).collect::<Vec<_>>().join(",") + "\n";
+    let line = |row: &Vec<String>| row.iter().map(|of| csv_entry(of)).collect::<Vec<_>>().join(",") + "\n";
     rows(runs).iter().map(line).collect()
 }
 
@@ -452,18 +421,16 @@ impl Pictures {
 /// The picture without transparency.
 fn on_mat(picture: &RgbaImage) -> RgbImage {
     RgbImage::from_fn(picture.width(), picture.height(), |x, y| {
-        let [r, g, b, a] = picture.get_pixel(x, y).0;
-        let over =
-            |c: u8, m: u8| ((u32::from(c) * u32::from(a) + u32::from(m) * (255 - u32::from(a))) / 255) as u8;
-        Rgb([over(r, MAT[0]), over(g, MAT[1]), over(b, MAT[2])])
+        let [color @ .., alpha] = picture.get_pixel(x, y).0.map(u32::from);
+        let over = |c: usize| ((color[c] * alpha + u32::from(MAT[c]) * (255 - alpha)) / 255) as u8;
+        Rgb([0, 1, 2].map(over))
     })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::scores::{PassScores, ScaleFound, ViewScores};
-    use crate::report::tone::write_thumbnail;
+    use crate::report::{scores::PassScores, scores::ScaleFound, scores::ViewScores, tone::write_thumbnail};
     use base64::Engine as _;
     use base64::engine::general_purpose::STANDARD;
     use image::Rgba;
@@ -509,10 +476,8 @@ mod tests {
             srgb: None,
             stanford_orb: None,
         };
-        let novel = PassScores {
-            views: vec![view("a", 30.0), view("c", 20.0), view("gone", 10.0)],
-            ..PassScores::default()
-        };
+        let views = vec![view("a", 30.0), view("c", 20.0), view("gone", 10.0)];
+        let novel = PassScores { views, ..PassScores::default() };
         let scores = Scores { passes: IndexMap::from([("novel".to_owned(), novel)]), ..Scores::default() };
         scores.write_json(out.path().join(METRICS)).unwrap();
         out
@@ -525,15 +490,12 @@ mod tests {
         assert_eq!((report.state.as_str(), report.passes.len()), ("interrupted", 4));
         assert_eq!(report.fields[1], ("seed".to_owned(), "4".to_owned()));
         assert!(report.facts.contains(&("seed".to_owned(), "4".to_owned())));
-        let names =
-            |i: usize| -> Vec<&str> { report.views[i].views.iter().map(|view| view.name.as_str()).collect() };
-        assert_eq!(
-            (report.views[0].pass.as_str(), names(0), report.views[0].left_out),
-            ("novel", vec!["c", "a"], 1)
-        );
-        assert!(report.views[0].views.iter().all(|view| view.truth.is_some() && view.error.is_some()));
-        assert_eq!((report.views[1].pass.as_str(), names(1)), ("turned", vec!["b"]));
-        assert!(report.views[1].views[0].render.is_some() && report.views[1].views[0].truth.is_none());
+        let names = |of: &PassViews| of.views.iter().map(|view| view.name.clone()).collect::<Vec<_>>();
+        let [novel, turned] = &report.views[..] else { panic!("{} passes", report.views.len()) };
+        assert_eq!((novel.pass.as_str(), names(novel).concat(), novel.left_out), ("novel", "ca".into(), 1));
+        assert!(novel.views.iter().all(|view| view.truth.is_some() && view.error.is_some()));
+        assert_eq!((turned.pass.as_str(), names(turned).concat()), ("turned", "b".into()));
+        assert!(turned.views[0].render.is_some() && turned.views[0].truth.is_none());
         let loss = report.logs[0].column("loss").unwrap();
         assert!(loss[0] == 0.5 && loss[1].is_nan());
         assert!(report.logs[0].column("psnr").is_none());
@@ -546,15 +508,13 @@ mod tests {
         fs::create_dir(out.path().join("fit")).unwrap();
         fs::write(&path, "// words\n[\n    (albedo: (0.3, 0.2, 0.1), roughness: 0.25, ndf: Sg),\n]\n")
             .unwrap();
-        let scale =
-            ScaleFound { rule: "WhiteLight".into(), mean_light: [2.0, 1.0, 0.0], mean_albedo: [0.1; 3] };
-        let found = findings(out.path(), &["fit"], &Scores { scale: Some(scale), ..Scores::default() });
+        let of = ScaleFound { rule: "WhiteLight".into(), mean_light: [2.0, 1.0, 0.0], mean_albedo: [0.1; 3] };
+        let found = findings(out.path(), &["fit"], &Scores { scale: Some(of), ..Scores::default() });
         let lines: Vec<String> = found.iter().map(|f| format!("{} = {}", f.what, f.value)).collect();
         assert!(lines[0].contains("albedo = WhiteLight — photographs"), "{lines:?}");
         assert_eq!(lines[1], "mean light = 2.000, 1.000, 0.000");
-        let albedo =
-            "fit: specular albedo 1 = 0.300, 0.200, 0.100; roughness 0.250, distribution of normals Sg";
-        assert_eq!(lines[3], albedo);
+        let fit = "fit: specular albedo 1 = 0.300, 0.200, 0.100; roughness 0.250, distribution of normals Sg";
+        assert_eq!(lines[3], fit);
         assert_eq!(found[1].color, Some([255, 188, 0]));
         fs::write(&path, "nothing, of, use").unwrap();
         assert!(findings(out.path(), &["fit", "none"], &Scores::default()).is_empty());

@@ -3,30 +3,25 @@
 //! Values that the types rule out are not checked again.
 
 mod passes;
-mod place;
 
 pub use passes::unknown_parts;
 pub(crate) use passes::uses_published;
-pub(super) use place::Found;
-pub use place::MIN_ROUGHNESS;
 
-use crate::scene::description::{
-    Albedo, AlbedoSource, Gloss, Light, LightFrameChoice, LightSource, Material, NdfChoice, Roughness, Scene,
-    Sheen, Specular, SpecularAlbedo, Surface, Tilt, VERSION, Visibility,
+use crate::scene::{
+    Albedo, AlbedoSource, CameraSpec, Dataset, Gloss, Light, LightFrameChoice, LightSource, Material,
+    NdfChoice, Pattern, Photographed, PlacementLight, PlacementSpec, Roughness, Scene, Sheen, Specular,
+    SpecularAlbedo, Surface, Tilt, Views, Visibility, diagnostic::Problem, load::LoadOptions,
 };
-use crate::scene::load::LoadOptions;
-use crate::scene::views::{CameraSpec, Dataset, Pattern, Photographed, PlacementLight, PlacementSpec, Views};
 use glam::Vec3;
 use lobelia_geometry::mesh::MAX_COORDINATE;
-use lobelia_io::codec::image::Gamma;
+use lobelia_io::codec::file::{FileKind, Obstacle, obstacle};
+use lobelia_io::codec::{image::Gamma, nearby::missing_file_help};
 use lobelia_solve::fit::scale::ScaleRule;
-use lobelia_world::light::map_fit::MOST_FITTED;
-use lobelia_world::light::{MAX_RADIANCE, MAX_SHARPNESS, MOST_LOBES};
+use lobelia_world::light::{MAX_RADIANCE, MAX_SHARPNESS, MOST_LOBES, map_fit::MOST_FITTED};
 use lobelia_world::material::MAX_SPECULAR_LOBES;
-use place::Place;
-use std::cell::RefCell;
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::{
+    cell::RefCell, collections::BTreeSet, fmt::Display, ops::RangeInclusive, path::Path, path::PathBuf,
+};
 
 /// Least radius or edge length of a primitive, in world units.
 const MIN_LENGTH: f32 = 1e-9;
@@ -38,10 +33,7 @@ const MOST_CAMERAS: usize = 20_000;
 /// Checks every value of the scene of a file in `base_dir`, and resolves every path in place.
 pub(super) fn check(scene: &mut Scene, base_dir: &Path, options: &LoadOptions) -> Found {
     let found = RefCell::default();
-    let root = Place::new(base_dir, options, &found);
-    if scene.version != VERSION {
-        root.at("version").fail(format!("version is {}", scene.version), format!("expected {VERSION}"), "");
-    }
+    let root = Place { path: String::new(), base_dir, options, found: &found };
     root.direction("up", scene.up);
     surface(&root.at("surface"), &mut scene.surface);
     let has_photographs = matches!(scene.views, Views::Dataset(_));
@@ -62,13 +54,10 @@ pub(super) fn check(scene: &mut Scene, base_dir: &Path, options: &LoadOptions) -
     if let Views::Photographed(made) = &scene.views
         && !made.truth.other_lights.is_empty()
     {
-        let said = match scene.light {
-            Light::Unknown(_) => "Unknown(…)",
-            Light::Initial(_) => "Initial(…)",
-            Light::Fixed(_) => "Fixed(…)",
-        };
-        let expected = "Unknown(…), as there are `other_lights`, which a fit is to find as well";
-        root.require(matches!(scene.light, Light::Unknown(_)), "light", said, expected);
+        if !matches!(scene.light, Light::Unknown(_)) {
+            let expected = "expected Unknown(…), as there are `other_lights`, which a fit is to find as well";
+            root.at("light").fail("the light is given", expected, "");
+        }
     }
     light_frame(&root, scene.light_frame);
     material(&root.at("material"), &mut scene.material);
@@ -88,28 +77,24 @@ pub(super) fn check(scene: &mut Scene, base_dir: &Path, options: &LoadOptions) -
 }
 
 fn surface(at: &Place, surface: &mut Surface) {
-    let texture_size = match surface {
-        Surface::Mesh { path, texture_size, .. } => {
-            at.file("path", path);
-            texture_size
-        }
-        Surface::Unknown { cells, texture_size } => {
-            at.count("cells", *cells, 16..=256);
-            texture_size
-        }
-        Surface::Sphere { center, radius, texture_size } => {
+    match surface {
+        Surface::Mesh { path, .. } => at.file("path", path),
+        Surface::Unknown { cells, .. } => at.count("cells", *cells, 16..=256),
+        Surface::Sphere { center, radius, .. } => {
             at.point("center", *center);
             at.number("radius", *radius, MIN_LENGTH..=MAX_COORDINATE);
-            texture_size
         }
-        Surface::Box { center, size, texture_size } => {
+        Surface::Box { center, size, .. } => {
             at.point("center", *center);
             let ok = size.min_element() >= MIN_LENGTH && size.max_element() <= MAX_COORDINATE;
             let expected = format!("three numbers from {MIN_LENGTH:e} to {MAX_COORDINATE:e}");
             at.require(ok, "size", *size, &expected);
-            texture_size
         }
-    };
+    }
+    let (Surface::Mesh { texture_size, .. }
+    | Surface::Unknown { texture_size, .. }
+    | Surface::Sphere { texture_size, .. }
+    | Surface::Box { texture_size, .. }) = surface;
     at.count("texture_size", *texture_size, 8..=4096);
 }
 
@@ -151,17 +136,14 @@ fn dataset(at: &Place, dataset: &mut Dataset, light: &Light) {
 
 /// The light of a placement beside the scene's own.
 fn placement_light(at: &Place, placement: &mut PlacementSpec, is_first: bool, own: &Light) {
-    let is_known = matches!(own, Light::Fixed(_));
+    let (is_known, is_unknown) = (matches!(own, Light::Fixed(_)), matches!(own, Light::Unknown(_)));
     let (value, suits, expected) = match &mut placement.light {
         PlacementLight::Same => return,
         _ if is_first => ("said", false, "nothing: the first placement is in the scene's `light`"),
         PlacementLight::Own if is_known => {
             ("Own", false, "Fixed(…), as the scene's `light` is known, or Same")
         }
-        PlacementLight::Own => {
-            let unknown = matches!(own, Light::Unknown(_));
-            ("Own", unknown, "Same, or a scene's `light` that is Unknown(…) and not Initial(…)")
-        }
+        PlacementLight::Own => ("Own", is_unknown, "Same, or a scene's `light` that is Unknown(…)"),
         PlacementLight::Fixed(source) => {
             light_source(&at.at("light"), source);
             ("Fixed(…)", is_known, "Own, as the scene's `light` is not known, or Same")
@@ -191,13 +173,6 @@ fn cameras(at: &Place, cameras: &[CameraSpec]) {
         at.point("eye", camera.eye);
         at.point("target", camera.target);
         at.direction("up", camera.up);
-        let forward = camera.target - camera.eye;
-        at.require(forward != Vec3::ZERO, "eye", camera.eye, "another point than the target");
-        if let (Some(forward), Some(up)) = (forward.try_normalize(), camera.up.try_normalize())
-            && forward.cross(up).length() < 1e-4
-        {
-            at.at("up").fail("up is along the line of sight", "expected another direction", "");
-        }
         at.fov(camera.fov_degrees);
         at.pixels("width", camera.width);
         at.pixels("height", camera.height);
@@ -262,8 +237,8 @@ fn light_frame(at: &Place, frame: LightFrameChoice) {
 
 /// A light at its place.
 fn light_source(at: &Place, source: &mut LightSource) {
-    let (scale, rotation) = match source {
-        LightSource::Lobes { lobes, scale, rotation_degrees } => {
+    match source {
+        LightSource::Lobes { lobes, .. } => {
             at.length("lobes", lobes, MOST_LOBES);
             for (index, lobe) in lobes.iter().enumerate() {
                 let at = at.at("lobes").at(index);
@@ -271,21 +246,16 @@ fn light_source(at: &Place, source: &mut LightSource) {
                 at.number("sharpness", lobe.sharpness, 0.0..=MAX_SHARPNESS);
                 at.channels("amplitude", lobe.amplitude, MAX_RADIANCE);
             }
-            (scale, rotation_degrees)
         }
-        LightSource::Npy { path, scale, rotation_degrees, .. }
-        | LightSource::Ron { path, scale, rotation_degrees } => {
-            at.file("path", path);
-            (scale, rotation_degrees)
-        }
-        LightSource::Map { path, scale, rotation_degrees, lobes, .. } => {
+        LightSource::Npy { path, .. } | LightSource::Ron { path, .. } => at.file("path", path),
+        LightSource::Map { path, lobes, .. } => {
             at.file("path", path);
             at.count("lobes", *lobes, 1..=MOST_FITTED as u32);
-            (scale, rotation_degrees)
         }
-    };
-    at.not_negative("scale", *scale);
-    at.finite("rotation_degrees", *rotation);
+    }
+    let (scale, rotation) = source.scale_and_turn();
+    at.not_negative("scale", scale);
+    at.finite("rotation_degrees", rotation);
 }
 
 fn scale(root: &Place, rule: ScaleRule) {
@@ -337,13 +307,15 @@ fn material(at: &Place, material: &mut Material) {
     }
     let (specular, at) = (material.specular, at.at("specular"));
     match specular.albedo {
-        SpecularAlbedo::Unknown { initial: None, .. } => {}
-        SpecularAlbedo::Unknown { initial: Some(color), .. } => at.at("albedo").color("initial", color),
+        SpecularAlbedo::Unknown { initial, .. } => {
+            initial.iter().for_each(|color| at.at("albedo").color("initial", *color));
+        }
         SpecularAlbedo::Fixed(color) => at.color("albedo", color),
     }
     match specular.roughness {
-        Roughness::Unknown { initial: None } => {}
-        Roughness::Unknown { initial: Some(value) } => at.at("roughness").roughness("initial", value),
+        Roughness::Unknown { initial } => {
+            initial.iter().for_each(|value| at.at("roughness").roughness("initial", *value));
+        }
         Roughness::Fixed(value) => at.roughness("roughness", value),
     }
 }
@@ -379,5 +351,196 @@ fn gloss(material_at: &Place, material: &mut Material) {
         let problem = "the roughness is to vary over the surface, but is said to be known";
         let expected = "expected `roughness: Unknown(…)` beside it";
         at.fail(problem, expected, "Leave one of the two out.");
+    }
+}
+
+/// Least roughness: below it the specular lobe is sharper than `f32` can hold.
+pub const MIN_ROUGHNESS: f32 = 0.03;
+/// Least field of view, in degrees: a hundred times narrower than any telephoto lens.
+const MIN_FOV_DEGREES: f32 = 0.001;
+
+/// Problems and files of a scene.
+#[derive(Default)]
+pub(super) struct Found {
+    /// Every value that makes no sense.
+    pub problems: Vec<Problem>,
+    /// Files and folders that are there, without repeats, in the order of the scene file.
+    pub files: Vec<PathBuf>,
+    /// Paths below `$DATA`, which stands for nothing.
+    pub unseen: Vec<PathBuf>,
+}
+
+/// A place in the scene file: a struct, list or choice whose values are checked by their names there.
+#[derive(Clone)]
+struct Place<'a> {
+    /// Steps joined by dots, as [`Node::locate`](crate::scene::ron_tree::Node::locate) reads them.
+    path: String,
+    /// The folder of the scene file.
+    base_dir: &'a Path,
+    options: &'a LoadOptions,
+    found: &'a RefCell<Found>,
+}
+
+impl<'a> Place<'a> {
+    /// The place of a field, or of an item by its index.
+    pub fn at(&self, step: impl Display) -> Self {
+        let path = if self.path.is_empty() { step.to_string() } else { format!("{}.{step}", self.path) };
+        Self { path, ..self.clone() }
+    }
+
+    /// Adds a problem with this place.
+    pub fn fail(&self, problem: impl Into<String>, expected: impl Into<String>, help: impl Into<String>) {
+        let (path, problem) = (self.path.clone(), problem.into());
+        let problem = Problem { path, problem, expected: expected.into(), help: help.into() };
+        self.found.borrow_mut().problems.push(problem);
+    }
+
+    pub fn require(&self, ok: bool, field: &str, found: impl Display, expected: &str) {
+        if !ok {
+            let at = self.at(field);
+            // The last step that is a word.
+            let name = at.path.rsplit('.').find(|step| step.starts_with(|c: char| c.is_alphabetic()));
+            at.fail(format!("{} is {found}", name.unwrap_or("it")), format!("expected {expected}"), "");
+        }
+    }
+
+    /// A number in `range`; NaN is in none.
+    pub fn number(&self, field: &str, value: f32, range: RangeInclusive<f32>) {
+        let expected = format!("a number from {} to {}", range.start(), range.end());
+        self.require(range.contains(&value), field, value, &expected);
+    }
+
+    /// A finite number above 0.
+    pub fn positive(&self, field: &str, value: f32) {
+        self.require(value > 0.0 && value.is_finite(), field, value, "a number above 0");
+    }
+
+    /// A finite number not below 0.
+    pub fn not_negative(&self, field: &str, value: f32) {
+        self.require(value >= 0.0 && value.is_finite(), field, value, "a number not below 0");
+    }
+
+    /// A whole number in `range`.
+    pub fn count(&self, field: &str, value: u32, range: RangeInclusive<u32>) {
+        let expected = match *range.end() {
+            u32::MAX => format!("a whole number from {}", range.start()),
+            end => format!("a whole number from {} to {end}", range.start()),
+        };
+        self.require(range.contains(&value), field, value, &expected);
+    }
+
+    /// A list of 1 to `most` items.
+    pub fn length<T>(&self, field: &str, list: &[T], most: usize) {
+        self.count(field, u32::try_from(list.len()).unwrap_or(u32::MAX), 1..=most as u32);
+    }
+
+    /// Three finite numbers.
+    pub fn finite(&self, field: &str, value: Vec3) {
+        self.require(value.is_finite(), field, value, "finite numbers");
+    }
+
+    /// A finite vector that is not zero.
+    pub fn direction(&self, field: &str, value: Vec3) {
+        let ok = value.is_finite() && value.length_squared().is_normal();
+        self.require(ok, field, value, "a direction: finite, not (0, 0, 0)");
+    }
+
+    /// A point that a surface may be at.
+    pub fn point(&self, field: &str, value: Vec3) {
+        let ok = value.abs().max_element() <= MAX_COORDINATE && value.is_finite();
+        self.require(ok, field, value, &format!("three numbers, none beyond {MAX_COORDINATE:e}"));
+    }
+
+    /// Three numbers from 0 to `most`.
+    pub fn channels(&self, field: &str, value: Vec3, most: f32) {
+        let ok = value.to_array().iter().all(|channel| (0.0..=most).contains(channel));
+        let most = if most > 1.0 { format!("{most:e}") } else { most.to_string() };
+        self.require(ok, field, value, &format!("three numbers from 0 to {most}"));
+    }
+
+    /// A color with channels in [0, 1].
+    pub fn color(&self, field: &str, value: Vec3) {
+        self.channels(field, value, 1.0);
+    }
+
+    /// Three finite numbers not below 0.
+    pub fn factors(&self, field: &str, value: Vec3) {
+        let ok = value.is_finite() && value.min_element() >= 0.0;
+        self.require(ok, field, value, "three numbers not below 0");
+    }
+
+    pub fn roughness(&self, field: &str, value: f32) {
+        self.number(field, value, MIN_ROUGHNESS..=1.0);
+    }
+
+    /// A distance of cameras from what they look at.
+    pub fn distance(&self, field: &str, value: f32) {
+        let expected = format!("a number above 0, at most {MAX_COORDINATE:e}");
+        self.require(value > 0.0 && value <= MAX_COORDINATE, field, value, &expected);
+    }
+
+    /// A field of view.
+    pub fn fov(&self, value: f32) {
+        self.number("fov_degrees", value, MIN_FOV_DEGREES..=170.0);
+    }
+
+    /// An image's width or height.
+    pub fn pixels(&self, field: &str, value: u32) {
+        self.count(field, value, 1..=16384);
+    }
+
+    /// A name that can be a file's, and that no other of its `kind` has.
+    pub fn name(&self, name: &str, kind: &str, is_taken: bool, help: &str) {
+        let fits = (1..=100).contains(&name.len());
+        let ok = fits && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
+        self.require(ok, "name", format_args!("{name:?}"), "1 to 100 letters, digits, `_` and `-`");
+        if is_taken {
+            let problem = format!("two {kind} are called {name:?} (case does not count)");
+            self.at("name").fail(problem, "expected another name", help);
+        }
+    }
+
+    /// Resolves a path in place and looks for what is there: `$DATA/…` starts at `--data` and is left as it is without; other relative
+    /// paths start at the folder of the scene file.
+    pub fn path(&self, field: &str, kind: FileKind, path: &mut PathBuf) {
+        let at = self.at(field);
+        let full = match (path.strip_prefix("$DATA"), &self.options.data) {
+            (Err(_), _) => self.base_dir.join(&path),
+            (Ok(rest), Some(data)) if rest.as_os_str().is_empty() => data.clone(),
+            (Ok(rest), Some(data)) => data.join(rest),
+            (Ok(_), None) => {
+                // One report stands for every `$DATA/…`: they have the same remedy.
+                if self.found.borrow().unseen.is_empty() && !self.options.without_data {
+                    let expected = "expected --data to say what $DATA is";
+                    let help = "Give the folder on the command line: --data DIR.";
+                    at.fail("$DATA stands for nothing here", expected, help);
+                }
+                if !self.found.borrow().unseen.contains(path) {
+                    self.found.borrow_mut().unseen.push(path.clone());
+                }
+                return;
+            }
+        };
+        if let Some(Obstacle { problem, help }) = obstacle(&full, kind) {
+            let help = match kind {
+                _ if !help.is_empty() => help,
+                FileKind::File if full.is_dir() => "Name a file in it.".into(),
+                FileKind::Folder if full.is_file() => "Name the folder that it is in.".into(),
+                _ => missing_file_help(&full),
+            };
+            let expected = if kind == FileKind::File { "expected a file" } else { "expected a folder" };
+            at.fail(format!("{}: {problem}", full.display()), expected, help);
+        } else if !self.found.borrow().files.contains(&full) {
+            self.found.borrow_mut().files.push(full.clone());
+        }
+        *path = full;
+    }
+
+    pub fn file(&self, field: &str, path: &mut PathBuf) {
+        self.path(field, FileKind::File, path);
+    }
+
+    pub fn folder(&self, field: &str, path: &mut PathBuf) {
+        self.path(field, FileKind::Folder, path);
     }
 }

@@ -1,17 +1,11 @@
 //! Whether the passes of a scene make sense, each by itself and in their order.
 
-use crate::scene::description::{Albedo, Gloss, Light, Roughness, Scene, SpecularAlbedo, Surface};
-use crate::scene::diagnostic::nearest;
-use crate::scene::passes::{
-    EvaluatePass, ExportPass, ExportScale, FitPass, FitShading, LayerTruth, Pass, Rates, ShapePass, Truth,
-    VIEW,
+use crate::scene::{
+    Albedo, ColorAction, Edit, EvaluatePass, ExportPass, ExportScale, FitPass, FitShading, Gloss, LayerTruth,
+    Light, Orbit, Pass, Rates, Region, RenderSettings, Roughness, ScalarAction, Scene, Shading, ShapePass,
+    SpecularAlbedo, Surface, Truth, VIEW, Views, validate::Place, validate::light_source,
 };
-use crate::scene::render::{
-    ColorAction, DiffuseAction, Edit, Orbit, Region, RenderSettings, ScalarAction, Shading,
-};
-use crate::scene::validate::light_source;
-use crate::scene::validate::place::Place;
-use crate::scene::views::Views;
+use lobelia_io::codec::nearby::closest;
 use lobelia_sg::brdf::Ndf;
 use std::path::{Component, Path, PathBuf};
 
@@ -41,17 +35,16 @@ pub(super) fn passes(at: &Place, scene: &mut Scene) {
         match pass {
             Pass::Fit(pass) => fit(&at, pass, scene),
             Pass::Shape(pass) => shape(&at, pass, scene),
-            Pass::Edit(pass) => {
-                if pass.edits.is_empty() {
-                    at.at("edits").fail("there is no edit", "expected at least one edit", "");
-                }
-                edits(&at, &mut pass.edits);
-                pass.light.iter_mut().for_each(|light| light_source(&at.at("light"), light));
+            Pass::Render(pass) if !pass.edits.is_empty() || pass.light.is_some() => {
+                at.fail("this pass changes the object", "expected `Edit` or `Relight`", "");
             }
-            Pass::Relight(pass) => {
-                light_source(&at.at("light"), &mut pass.light);
-                edits(&at, &mut pass.edits);
+            Pass::Edit(pass) if pass.edits.is_empty() => {
+                at.at("edits").fail("there is no edit", "expected at least one edit", "");
             }
+            Pass::Relight(pass) if pass.light.is_none() => {
+                at.at("light").fail("there is no light", "expected a light, such as `Map(path: …)`", "");
+            }
+            Pass::Render(_) | Pass::Edit(_) | Pass::Relight(_) => {}
             Pass::Evaluate(pass) => evaluate(&at, pass, &scene.views, earlier),
             Pass::Export(pass) => {
                 export(&at, pass);
@@ -59,28 +52,25 @@ pub(super) fn passes(at: &Place, scene: &mut Scene) {
             }
             Pass::Save(pass) => shown_by(&at, pass.of.as_deref(), &shown),
             Pass::View(pass) => shown_by(&at, pass.of.as_deref(), &shown),
-            Pass::Render(_) => {}
         }
-        if let Some(settings) = pass.render() {
-            render(&at.at("render"), settings);
+        if let Pass::Render(pass) | Pass::Edit(pass) | Pass::Relight(pass) = pass {
+            edits(&at, &mut pass.edits);
+            pass.light.iter_mut().for_each(|light| light_source(&at.at("light"), light));
+            render(&at.at("render"), &pass.render);
         }
-        known_to_published(&at, pass, scene);
+        // The published formulas have the supplement's NDF alone.
+        let is_ggx = scene.material.specular.ndf.first() == Ndf::Ggx;
+        if let Some(field) = published_field(pass).filter(|_| is_ggx) {
+            let problem = "`Published` shading cannot show a material with `ndf: Ggx`";
+            let help = "The published formulas know the single spherical Gaussian only; or say `ndf: Sg` in `material.specular`.";
+            at.at(field).fail(problem, "expected `Accurate` (or `PathTraced`) shading", help);
+        }
         fitted |= matches!(pass, Pass::Fit(_) | Pass::Shape(_));
         if !fitted {
             nothing_unknown(&at, pass, scene);
         }
     }
     scene.passes = passes;
-}
-
-/// The published formulas have the supplement's NDF alone.
-fn known_to_published(at: &Place, pass: &Pass, scene: &Scene) {
-    let is_ggx = scene.material.specular.ndf.first() == Ndf::Ggx;
-    if let Some(field) = published_field(pass).filter(|_| is_ggx) {
-        let problem = "`Published` shading cannot show a material with `ndf: Ggx`";
-        let help = "The published formulas know the single spherical Gaussian only; or say `ndf: Sg` in `material.specular`.";
-        at.at(field).fail(problem, "expected `Accurate` (or `PathTraced`) shading", help);
-    }
 }
 
 /// The field in which a pass says `Published`, if it does.
@@ -101,9 +91,9 @@ pub(crate) fn uses_published(scene: &Scene) -> bool {
 fn nothing_unknown(at: &Place, pass: &Pass, scene: &Scene) {
     let light = match pass {
         Pass::Evaluate(_) => return,
-        Pass::Render(_) | Pass::Save(_) | Pass::View(_) => true,
-        Pass::Edit(edit) => edit.light.is_none(),
-        Pass::Fit(_) | Pass::Shape(_) | Pass::Relight(_) | Pass::Export(_) => false,
+        Pass::Save(_) | Pass::View(_) => true,
+        Pass::Render(pass) | Pass::Edit(pass) | Pass::Relight(pass) => pass.light.is_none(),
+        Pass::Fit(_) | Pass::Shape(_) | Pass::Export(_) => false,
     };
     let unknown = unknown_parts(scene);
     let missing: Vec<&str> = unknown.into_iter().filter(|part| light || *part != "light").collect();
@@ -135,9 +125,8 @@ fn rates(at: &Place, rates: &Rates) {
 }
 
 fn shape(at: &Place, shape: &ShapePass, scene: &Scene) {
-    let gloss = |problem: &str, help: &str| {
-        at.root().at("material").at("gloss").fail(problem, "expected `Auto`, `One` or `Blend(…)`", help);
-    };
+    let place = Place { path: "material.gloss".to_owned(), ..at.clone() };
+    let gloss = |problem, help| place.fail(problem, "expected `Auto`, `One` or `Blend(…)`", help);
     match scene.material.gloss {
         Gloss::Fixed { .. } => gloss("known blend weights belong to a known surface", ""),
         Gloss::Texels { .. } => gloss(
@@ -189,8 +178,8 @@ fn fit(at: &Place, fit: &FitPass, scene: &Scene) {
             "Use `views: Dataset(…)` or `views: Photographed(…)`, or remove the `Fit`.",
         );
     }
-    let is_initial =
-        matches!(scene.material.albedo, Albedo::Initial(_)) || matches!(scene.light, Light::Initial(_));
+    let (light, albedo) = (&scene.light, &scene.material.albedo);
+    let is_initial = matches!((light, albedo), (Light::Initial(_), _) | (_, Albedo::Initial(_)));
     if unknown_parts(scene).is_empty() && !is_initial {
         cannot("everything is fixed, so there is nothing to fit", "Remove the `Fit`.");
     }
@@ -213,16 +202,18 @@ pub(super) fn edits(at: &Place, edits: &mut [Edit]) {
         let at = at.at("edits").at(index);
         let action = at.at("action");
         match edit {
-            Edit::Diffuse { action: DiffuseAction::Texture(path), .. } => action.file("0", path),
-            Edit::Diffuse { action: DiffuseAction::Set(color), .. }
-            | Edit::Specular { action: ColorAction::Set(color), .. } => at.color("action", *color),
-            Edit::Diffuse { action: DiffuseAction::Scale(factors), .. }
-            | Edit::Specular { action: ColorAction::Scale(factors), .. } => at.factors("action", *factors),
-            Edit::Diffuse { action: DiffuseAction::Blend { color, weight }, .. }
-            | Edit::Specular { action: ColorAction::Blend { color, weight }, .. } => {
-                action.color("color", *color);
-                action.number("weight", *weight, 0.0..=1.0);
+            Edit::Specular { action: ColorAction::Texture(_), .. } => {
+                action.fail("a texture is no specular albedo", "expected `Set`, `Scale` or `Blend`", "");
             }
+            Edit::Diffuse { action: of, .. } | Edit::Specular { action: of, .. } => match of {
+                ColorAction::Set(color) => at.color("action", *color),
+                ColorAction::Scale(factors) => at.factors("action", *factors),
+                ColorAction::Blend { color, weight } => {
+                    action.color("color", *color);
+                    action.number("weight", *weight, 0.0..=1.0);
+                }
+                ColorAction::Texture(path) => action.file("0", path),
+            },
             Edit::Roughness { action: ScalarAction::Set(value), .. } => at.roughness("action", *value),
             Edit::Roughness { action: ScalarAction::Scale(factor), .. } => at.not_negative("action", *factor),
             Edit::Roughness { action: ScalarAction::Blend { value, weight }, .. } => {
@@ -363,13 +354,12 @@ fn evaluate(at: &Place, evaluate: &mut EvaluatePass, views: &Views, earlier: &[P
 
 /// The path of a file of each view lies below its folder, and says which view it is of.
 fn files_of_views(at: &Place, folder: &mut PathBuf, file: &str) {
-    let is_below =
-        Path::new(file).components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+    let below = Path::new(file).components().all(|of| matches!(of, Component::Normal(_) | Component::CurDir));
     let help = format!("For the views of {}, write `file: \"{VIEW}/albedo.png\"`.", folder.display());
     if !file.contains(VIEW) {
         let expected = format!("a path with `{VIEW}`, which stands for the name of a view");
         at.at("file").fail(format!("{file:?} is one file for all views"), expected, help);
-    } else if !is_below {
+    } else if !below {
         let problem = format!("{file:?} does not lie in `folder`");
         at.at("file").fail(problem, "expected a path from there, without `..`", help);
     }
@@ -388,7 +378,7 @@ fn shown_by(at: &Place, of: Option<&str>, shown: &[String]) {
 
 fn listing<'a>(kind: &str, found: &str, names: impl Iterator<Item = &'a str> + Clone) -> String {
     let all = names.clone().collect::<Vec<_>>().join(", ");
-    match nearest(found, names) {
+    match closest(found, names).first() {
         Some(name) => format!("Did you mean {name:?}? The {kind}: {all}."),
         None if all.is_empty() => format!("There are no {kind}."),
         None => format!("The {kind}: {all}."),

@@ -1,13 +1,10 @@
 //! Whole runs on a disk that fails: one error, what was written is whole, and the run goes on from there.
 
-use crate::pass::run::record::{Record, RunState};
-use crate::pass::{RunOptions, run, run::progress::Silent};
+use crate::pass::{RunOptions, run, run::progress::Silent, run::record::Record, run::record::RunState};
 use crate::scene::{LoadOptions, LoadedScene, load};
 use lobelia_geometry::error::Error;
 use lobelia_io::codec::file::faults::{Call, Faulty, FileFault};
-use std::collections::BTreeMap;
-use std::path::Path;
-use std::time::Duration;
+use std::{collections::BTreeMap, path::Path, time::Duration};
 
 const SCENE: &str = r#"Scene(
     version: 1,
@@ -37,12 +34,8 @@ fn scene(folder: &Path) -> LoadedScene {
 }
 
 fn options(out: &Path, resume: bool) -> RunOptions {
-    RunOptions {
-        out: out.to_owned(),
-        checkpoint_every: Some(Duration::ZERO),
-        resume,
-        ..RunOptions::default()
-    }
+    let (out, checkpoint_every) = (out.to_owned(), Some(Duration::ZERO));
+    RunOptions { out, checkpoint_every, resume, ..RunOptions::default() }
 }
 
 /// Results whose bytes do not depend on the time.
