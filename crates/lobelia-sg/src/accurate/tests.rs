@@ -5,9 +5,9 @@ pub(super) mod cubature;
 use super::diffuse::{cosine_integral, scaled_erfc};
 use super::placement::{LocalLight, SG, place};
 use super::point::{Mixture, OneSg};
+use super::smooth::pair_smoothness;
 use super::specular::{PointTermsView, node};
 use super::*;
-use super::{rule::across, smooth::pair_smoothness};
 use crate::brdf::Ndf;
 use crate::cases::{Case, unit};
 use crate::lanes::{Lanes, MAX_LANES, dispatch};
@@ -114,11 +114,10 @@ fn frozen(case: &Case) -> Frozen {
     let (view, ndf) = (PointTermsView::new(&point), &point.ndf[0]);
     let placement = place::<f64, SG>(point.view, ndf, &light);
     let mut nodes = vec![];
-    for i in 0..3 {
-        let row = placement.row(3, i);
-        for j in 0..2 {
-            let (w, weight) = across(2, j);
-            let node = node::<f64, SG>(&view, ndf, &light, &placement, &row, w, weight);
+    let placed = placement.nodes::<3, 2>();
+    for row in &placed.rows {
+        for column in placed.columns {
+            let node = node::<f64, SG>(&view, ndf, &light, &placement, row, column);
             let omega = unit(point.in_world([node.direction[0], node.direction[1], node.cosine]));
             let [_, constant, slope] = integrand(case, Ndf::Sg, omega);
             let value = node.over_cosine * node.cosine * ndf.scale;
