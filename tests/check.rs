@@ -1,29 +1,20 @@
 //! `lobelia check` on photographs: what it says, what it writes, what stops a run before it costs time, and that the two agree: what one
 //! refuses the other refuses, with the same message, and what `check` takes does run.
 
-use crate::common::{Data, Outcome, command, files_below};
+use crate::common::{Data, FIT, NOVEL, Outcome, SCORES, changed, files_below, scene};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use serde_json::Value;
 
-const SCENE: &str = r#"Scene(
-    version: 1,
-    surface: Mesh(path: "$DATA/mesh.glb", texture_size: 32),
-    views: Dataset(path: "$DATA"),
-    light: Unknown(lobes: 8),
-    visibility: None,
-    passes: [
-        Fit(name: "fit", steps: 2, batch: 64),
-        Render(name: "novel"),
-        Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]),
-    ],
-)
-"#;
+/// A right scene.
+fn right() -> String {
+    scene(&[FIT, NOVEL, SCORES].concat())
+}
 
 /// Checks the scene in the folder of its data.
 fn check(data: &Data, arguments: &[&str]) -> Outcome {
-    data.write("scene.ron", SCENE);
-    Outcome::of(command(&["check", "scene.ron"]).args(arguments).current_dir(data.root()))
+    data.write("scene.ron", right());
+    data.lobelia(&[&["check", "scene.ron"], arguments].concat())
 }
 
 #[test]
@@ -63,10 +54,10 @@ fn a_black_photograph_stops_check_and_run() {
         layers.channels.values_mut().for_each(|channel| channel.fill(0.0));
     });
     let words = ["black where the object is, in view `rgb_000003`", "help: Replace it"];
-    let looked = data.check(SCENE);
+    let looked = data.check(&right());
     looked.refused(&words);
     assert!(looked.stdout.contains("scene.ron: 1 error"), "{}", looked.stdout);
-    data.run(SCENE, "out", &["--quiet"]).refused(&words);
+    data.run(&right(), "out", &["--quiet"]).refused(&words);
     assert!(files_below(&data.path("out")).is_empty(), "nothing is written before the data is looked at");
 }
 
@@ -75,7 +66,7 @@ fn a_mesh_in_millimeters_stops_a_run_and_a_warning_does_not() {
     let data = Data::new();
     let mesh = lobelia::mesh::primitive::sphere_mesh(glam::Vec3::ZERO, 800.0).unwrap();
     lobelia::codec::gltf::export::write_glb(&data.path("mesh.glb"), &mesh, None).unwrap();
-    data.run(SCENE, "out", &["--quiet"]).refused(&["1000 times too large"]);
+    data.run(&right(), "out", &["--quiet"]).refused(&["1000 times too large"]);
     let data = Data::new();
     data.change_image("train/image/rgb_000001.exr", |layers| {
         layers.channels.values_mut().flatten().for_each(|value| *value *= 4096.0);
@@ -83,7 +74,7 @@ fn a_mesh_in_millimeters_stops_a_run_and_a_warning_does_not() {
     let said = check(&data, &["--data", "."]).succeeded().stdout;
     assert!(said.contains("scene.ron: 1 warning\n"), "{}", said);
     assert!(said.contains("warning (exposure): the exposure differs"), "{}", said);
-    let run = data.run(SCENE, "out", &[]).succeeded();
+    let run = data.run(&right(), "out", &[]).succeeded();
     assert!(run.stderr.contains("note: the exposure differs from that of views"), "{}", run.stderr);
 }
 
@@ -92,25 +83,14 @@ fn check_refuses_what_a_run_refuses_before_its_first_pass() {
     let data = Data::new();
     data.write("bad.npy", "no numbers");
     data.write("bad.glb", "no mesh");
-    let with =
-        |pass: &str| SCENE.replace("        Evaluate(", &format!("        {pass},\n        Evaluate("));
-    let evaluate = "Evaluate(name: \"scores\", ";
-    let cameras = r#"Scene(
-        version: 1,
-        surface: Sphere(texture_size: 16),
-        views: Cameras([(name: "front", eye: (0, 0, 3))]),
-        light: Fixed(Npy(path: "$DATA/bad.npy")),
-        material: (
-            albedo: Fixed(Constant(0.5, 0.5, 0.5)),
-            specular: (albedo: Fixed(0.05, 0.05, 0.05), roughness: Fixed(0.3)),
-        ),
-        passes: [Render(name: "novel", render: (views: All))],
-    )"#;
+    let with = |pass: &str| changed(&right(), "Evaluate(", &format!("{pass}, Evaluate("));
+    let known = "light: Fixed(Npy(path: \"$DATA/bad.npy\")), material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), \
+                 specular: (albedo: Fixed(0.05, 0.05, 0.05), roughness: Fixed(0.3)))";
     for (scene, words) in [
         (with(r#"Relight(name: "relit", light: Npy(path: "$DATA/bad.npy"))"#), "bad.npy"),
-        (SCENE.replace(evaluate, &format!("{evaluate}mesh: \"$DATA/bad.glb\", ")), "bad.glb"),
+        (changed(&right(), "Evaluate(", r#"Evaluate(mesh: "$DATA/bad.glb", "#), "bad.glb"),
         (with(r#"Render(name: "one", render: (views: Named(["nope"])))"#), "there is no view nope"),
-        (cameras.to_owned(), "bad.npy"),
+        (changed(&scene(NOVEL), "light: Unknown(lobes: 6)", known), "bad.npy"),
     ] {
         let looked = data.check(&scene);
         let run = data.run(&scene, "out", &["--quiet"]);
@@ -183,17 +163,15 @@ fn random_scene(seed: u64) -> String {
     let mut passes: Vec<&str> = vec![r#"Fit(name: "fit", steps: 2, batch: 64)"#, r#"Render(name: "novel")"#];
     passes.extend((0..2).map(|_| pick(&PASSES)));
     passes.dedup();
-    let passes = passes.join(",\n        ");
     format!(
-        "Scene(\n    version: 1,\n    surface: {surface},\n    views: {views},\n    light: {light},\n    visibility: None,\n    passes: [\n        \
-         {passes},\n    ],\n)\n"
+        "Scene(version: 1, surface: {surface},\nviews: {views},\nlight: {light},\nvisibility: None,\npasses: [{}])\n",
+        passes.join(",\n")
     )
 }
 
 /// The message without its drawing.
-fn message(outcome: &Outcome) -> String {
-    let line = outcome.stderr.lines().find(|line| line.starts_with("error")).unwrap_or_default();
-    line.to_owned()
+fn message(outcome: &Outcome) -> Option<&str> {
+    outcome.stderr.lines().find(|line| line.starts_with("error"))
 }
 
 #[test]

@@ -12,6 +12,7 @@ use lobelia::sample::pixel::SampleIndex;
 use lobelia::view::{Camera, Frame};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
+use std::sync::LazyLock;
 
 #[derive(Component)]
 struct Marked;
@@ -33,11 +34,29 @@ fn fitted(change: impl FnOnce(&mut Pipeline)) -> Pipeline {
     pipeline
 }
 
-fn found(pipeline: &mut Pipeline) -> (Vec<DiffuseAlbedo>, Vec<LightLobe>, SpecularLobe) {
+type Found = (Vec<DiffuseAlbedo>, Vec<LightLobe>, SpecularLobe);
+
+fn found(mut pipeline: Pipeline) -> Found {
     let world = &mut pipeline.world;
-    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap();
     let lobes = world.query::<&LightLobe>().iter(world).copied().collect();
-    (albedo, lobes, *world.query::<&SpecularLobe>().single(world).unwrap())
+    (albedo(world), lobes, *world.query::<&SpecularLobe>().single(world).unwrap())
+}
+
+/// What a fit finds that nothing changed.
+static PLAIN: LazyLock<Found> = LazyLock::new(|| found(fitted(|_| ())));
+
+fn albedo(world: &mut World) -> Vec<DiffuseAlbedo> {
+    read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap()
+}
+
+/// The message of a picture that cannot be rendered.
+fn refusal(pipeline: &mut Pipeline) -> String {
+    render_frame(pipeline, front(), 1).map(|_| ()).unwrap_err().to_string()
+}
+
+/// The picture of the studio that nothing changed.
+fn by_day() -> Frame {
+    shoot(&mut studio(&day()), front())
 }
 
 fn texel(world: &mut World, number: u32) -> Entity {
@@ -47,20 +66,19 @@ fn texel(world: &mut World, number: u32) -> Entity {
 
 #[test]
 fn a_marker_on_one_texel_changes_neither_a_picture_nor_a_fit() {
-    let plain = shoot(&mut studio(&day()), front());
     let mut pipeline = studio(&day());
     for number in [517, 3] {
         let texel = texel(&mut pipeline.world, number);
         pipeline.world.entity_mut(texel).insert(Marked);
-        assert_eq!(shoot(&mut pipeline, front()), plain);
+        assert_eq!(shoot(&mut pipeline, front()), by_day());
     }
     let marked = pipeline.world.query_filtered::<&TexelIndex, With<Marked>>().iter(&pipeline.world).count();
     assert_eq!(marked, 2);
-    let mut with_marker = fitted(|pipeline| {
+    let with_marker = fitted(|pipeline| {
         let texel = texel(&mut pipeline.world, 517);
         pipeline.world.entity_mut(texel).insert(Marked);
     });
-    assert_eq!(found(&mut with_marker), found(&mut fitted(|_| ())));
+    assert_eq!(found(with_marker), *PLAIN);
 }
 
 #[test]
@@ -78,13 +96,13 @@ fn a_marker_on_an_observed_pixel_or_a_sample_does_not_change_a_fit() {
     fn count(marked: Query<&Marked>, mut seen: ResMut<Seen>) {
         seen.0 = marked.iter().len();
     }
-    let mut with_marker = fitted(|pipeline| {
+    let with_marker = fitted(|pipeline| {
         pipeline.world.init_resource::<Seen>();
         pipeline.add_systems(Phase::Prepare, Stage::Write, mark_pixels);
         pipeline.add_systems(Phase::FitStep, Stage::Write, (count, mark_sample).chain());
     });
     assert_eq!(with_marker.world.resource::<Seen>().0, 3, "all were there until the last step");
-    assert_eq!(found(&mut with_marker), found(&mut fitted(|_| ())));
+    assert_eq!(found(with_marker), *PLAIN);
 }
 
 #[test]
@@ -92,8 +110,7 @@ fn a_texel_that_is_missing_is_named() {
     let mut pipeline = studio(&day());
     let gone = texel(&mut pipeline.world, 40);
     pipeline.world.despawn(gone);
-    let error = render_frame(&mut pipeline, front(), 1).map(|_| ()).unwrap_err();
-    assert!(error.to_string().contains("texel 40 is missing"), "{error}");
+    assert!(refusal(&mut pipeline).contains("texel 40 is missing"));
 }
 
 fn close(a: &Frame, b: &Frame) -> bool {
@@ -152,8 +169,7 @@ fn base_materials_are_known_by_number_whatever_their_order() {
     pipeline.world.spawn((BaseMaterial(1), lobe));
     assert_eq!(shoot(&mut pipeline, front()), first);
     pipeline.world.spawn((BaseMaterial(1), lobe));
-    let error = render_frame(&mut pipeline, front(), 1).map(|_| ()).unwrap_err();
-    assert!(error.to_string().contains("two have number 1"), "{error}");
+    assert!(refusal(&mut pipeline).contains("two have number 1"));
 }
 
 #[derive(Resource, Default)]
@@ -208,6 +224,14 @@ fn paint_green(composition: Composition) -> SystemResult {
     })
 }
 
+/// The same edit as an entity, with a region of weights.
+fn spawn_green(world: &mut World) -> Entity {
+    let weight = |albedo: &DiffuseAlbedo| f32::from(u8::from(albedo.0.x > 0.5));
+    let region = EditRegion(Some(albedo(world).iter().map(weight).collect()));
+    let action = EditAction::Set(Vec3::Y);
+    world.spawn((EditName("green".into()), EditTarget::Diffuse, action, region)).id()
+}
+
 /// The studio with a sheen and a tilt on all texels.
 fn studio_with_sheen_and_tilt() -> Pipeline {
     let mut pipeline = studio(&day());
@@ -234,11 +258,7 @@ fn an_edit_of_ones_own_shows_the_sheen_and_tilt_that_it_leaves() {
         assert_eq!((shown.albedo[texel], shown.sheen[texel], shown.tilt[texel]), expected, "texel {texel}");
     }
     assert!((0..plain.albedo.len()).any(is_red) && !(0..plain.albedo.len()).all(is_red));
-    let region: Arc<[f32]> =
-        (0..plain.albedo.len()).map(|texel| f32::from(u8::from(is_red(texel)))).collect();
-    let edit =
-        (EditName("green".into()), EditTarget::Diffuse, EditAction::Set(Vec3::Y), EditRegion(Some(region)));
-    pipeline.world.spawn(edit);
+    spawn_green(&mut pipeline.world);
     pipeline.swap(Phase::Frame, Slot::Material, show_edited("green"));
     assert!(close(&shoot(&mut pipeline, front()), &painted), "the same but for rounding of the sheen");
 }
@@ -254,25 +274,20 @@ fn what_a_system_of_ones_own_shows_can_be_written() {
     let folder = tempfile::tempdir().unwrap();
     write_material(folder.path(), &shown, surface.atlas()).unwrap();
     let albedo = read_exr_layers(folder.path().join("albedo.exr")).unwrap();
-    for (channel, component) in [("R", 0), ("G", 1), ("B", 2)] {
-        let expected: Vec<f32> = shown.albedo.iter().map(|albedo| albedo.0[component]).collect();
-        assert!(albedo.channels[channel] == expected, "{channel}");
+    for (channel, found) in ["R", "G", "B"].map(|name| &albedo.channels[name]).into_iter().enumerate() {
+        assert!(found.iter().eq(shown.albedo.iter().map(|albedo| &albedo.0[channel])), "{channel}");
     }
-    assert!(
-        folder.path().join("albedo_along.exr").exists() && folder.path().join("albedo_tilt.exr").exists()
-    );
+    assert!(["albedo_along.exr", "albedo_tilt.exr"].iter().all(|file| folder.path().join(file).exists()));
     pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
     assert_eq!(frame_material(&mut pipeline).unwrap(), recovered_material(&mut pipeline.world).unwrap());
 }
 
 #[test]
 fn rendering_and_fitting_that_are_added_twice_do_all_once() {
-    let once = shoot(&mut studio(&day()), front());
     let mut twice = studio(&day());
     twice.add_plugin(&FramePlugin);
-    assert_eq!(shoot(&mut twice, front()), once);
-    let mut added_again = fitted(|pipeline| _ = pipeline.add_plugin(&FitPlugin));
-    assert_eq!(found(&mut added_again), found(&mut fitted(|_| ())));
+    assert_eq!(shoot(&mut twice, front()), by_day());
+    assert_eq!(found(fitted(|pipeline| _ = pipeline.add_plugin(&FitPlugin))), *PLAIN);
 }
 
 /// The names of all resources, and of all components of texels, lobes and base materials.
@@ -290,11 +305,10 @@ fn names(world: &mut World) -> BTreeSet<String> {
 
 #[test]
 fn a_fit_that_is_removed_leaves_what_it_found_and_nothing_else() {
-    let mut before = BTreeSet::new();
     let mut pipeline = studio(&LightLobe::even(16));
     let views = photographs_of(&mut studio(&day()), 8, 24, |_, _| {});
     spawn_views(&mut pipeline.world, views);
-    before.extend(names(&mut pipeline.world));
+    let before = names(&mut pipeline.world);
     let options = FitOptions { steps: 3, batch: 256, looks_for_sheen: true, ..FitOptions::default() };
     for _ in 0..2 {
         pipeline.add_plugin(&FitPlugin);
@@ -313,17 +327,11 @@ fn a_fit_that_is_removed_leaves_what_it_found_and_nothing_else() {
 fn an_edit_is_a_system_in_a_slot_and_leaves_what_was_recovered() {
     let mut pipeline = studio(&day());
     let plain = shoot(&mut pipeline, front());
-    let recovered = read_column::<TexelIndex, DiffuseAlbedo>(&mut pipeline.world).unwrap();
+    let recovered = albedo(&mut pipeline.world);
     pipeline.swap(Phase::Frame, Slot::Material, paint_green);
     let painted = shoot(&mut pipeline, front());
     assert_ne!(painted.albedo, plain.albedo);
-
-    // The same as an edit entity, with a region of weights.
-    let region: Arc<[f32]> =
-        recovered.iter().map(|albedo| if albedo.0.x > 0.5 { 1.0 } else { 0.0 }).collect();
-    let edit =
-        (EditName("green".into()), EditTarget::Diffuse, EditAction::Set(Vec3::Y), EditRegion(Some(region)));
-    let edit = pipeline.world.spawn(edit).id();
+    let edit = spawn_green(&mut pipeline.world);
     pipeline.swap(Phase::Frame, Slot::Material, show_edited("green"));
     assert_eq!(shoot(&mut pipeline, front()), painted);
 
@@ -341,14 +349,14 @@ fn an_edit_is_a_system_in_a_slot_and_leaves_what_was_recovered() {
     assert_ne!(shoot(&mut pipeline, front()).specular, plain.specular);
     pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
     assert_eq!(shoot(&mut pipeline, front()), plain);
-    assert_eq!(read_column::<TexelIndex, DiffuseAlbedo>(&mut pipeline.world).unwrap(), recovered);
+    assert_eq!(albedo(&mut pipeline.world), recovered);
 }
 
 #[test]
 fn an_edit_of_a_region_shows_base_materials_that_go_with_it() {
     let mut pipeline = studio(&day());
     let plain = shoot(&mut pipeline, front());
-    let count = read_column::<TexelIndex, DiffuseAlbedo>(&mut pipeline.world).unwrap().len();
+    let count = albedo(&mut pipeline.world).len();
     let half: Arc<[f32]> = (0..count).map(|i| if i < count / 2 { 1.0 } else { 0.0 }).collect();
     let region = EditRegion(Some(half));
     let edit = (EditName("polish".into()), EditTarget::Roughness, EditAction::Set(Vec3::splat(0.1)), region);
@@ -384,11 +392,8 @@ fn a_named_light_goes_with_its_lobes_and_another_can_take_its_name() {
     spawn_light(&mut pipeline.world, "lamp", &day(), None);
     assert_eq!(shoot(&mut pipeline, front()), by_day);
     let world = &mut pipeline.world;
-    assert_eq!(
-        world.query::<&LobeOf>().iter(world).len(),
-        day().len(),
-        "the old lobes went with the old light"
-    );
+    let left = world.query::<&LobeOf>().iter(world).len();
+    assert_eq!(left, day().len(), "the old lobes went with the old light");
 }
 
 #[test]
@@ -400,8 +405,7 @@ fn an_edit_that_fails_fails_again_and_leaves_nothing_behind() {
     let edit = pipeline.world.spawn(edit).id();
     pipeline.swap(Phase::Frame, Slot::Material, show_edited("paint"));
     for _ in 0..2 {
-        let error = render_frame(&mut pipeline, front(), 1).map(|_| ()).unwrap_err();
-        assert!(error.to_string().contains("7 texels"), "{error}");
+        assert!(refusal(&mut pipeline).contains("7 texels"));
     }
     pipeline.world.despawn(edit);
     assert_eq!(shoot(&mut pipeline, front()), plain);

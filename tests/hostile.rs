@@ -1,7 +1,9 @@
 //! Hostile, damaged and senseless input: one clear message that names the file, exit code 2, little time, little memory, and nothing
 //! written; never a panic. What may be odd but is understood is taken. Readers of files have such tests of their own, of every kind.
 
-use crate::common::{Data, Outcome, changed, command, files_below, is_temporary, save_png, write_image};
+use crate::common::{
+    self, Data, FIT, GRAY_SPHERE, NOVEL, Outcome, changed, files_below, is_temporary, save_png, write_image,
+};
 use image::{DynamicImage, GrayImage, Luma};
 use serde_json::json;
 use std::process::{Command, Stdio};
@@ -13,25 +15,13 @@ const MOST_KIB: u32 = 3 << 20;
 /// Most seconds; a debug build on a busy machine is slow, and what is hostile takes minutes or never ends.
 const MOST_SECS: u64 = 60;
 
-const LIGHT: &str = "Lobes(lobes: [(axis: (0, 1, 0), sharpness: 5, amplitude: (1, 1, 1))])";
-const CAMERA: &str = r#"(name: "front", eye: (0, 0, 3), width: 16, height: 16)"#;
+const LIGHT: &str = "Lobes(lobes: [(axis: (1, 0.2, 0.5), sharpness: 4, amplitude: (1, 1, 1))])";
+const CAMERA: &str = r#"(name: "a", eye: (0, 0, 3), width: 16, height: 16)"#;
 
 /// A scene that is right and small, with `from` replaced by `to`.
 #[track_caller]
 fn small(from: &str, to: &str) -> String {
-    let right = format!(
-        r#"Scene(
-    version: 1,
-    surface: Sphere(radius: 0.8, texture_size: 16),
-    views: Cameras([{CAMERA}]),
-    light: Fixed({LIGHT}),
-    material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0.2, 0.2, 0.2), roughness: Fixed(0.3))),
-    visibility: None,
-    passes: [Render(name: "novel")],
-)
-"#
-    );
-    changed(&right, from, to)
+    changed(&GRAY_SPHERE.replace("{PASS}", NOVEL), from, to)
 }
 
 /// A folder with `scene.ron`, in which the program has bounded memory and time.
@@ -50,7 +40,7 @@ impl Bounded {
     }
 
     fn lobelia(&self, arguments: &[&str]) -> Outcome {
-        let mut run = command(&[]);
+        let mut run = common::command(&[]);
         if cfg!(unix) {
             run = Command::new("sh");
             run.args(["-c", &format!("ulimit -v {MOST_KIB}; exec \"$@\""), "sh"]);
@@ -90,20 +80,20 @@ impl Bounded {
 /// Without this, the refusals below could have any reason.
 #[test]
 fn the_right_scene_is_taken_also_with_a_byte_order_mark() {
-    let folder = Bounded::with_scene(format!("\u{feff}{}", small("version", "version")));
+    let folder = Bounded::with_scene(format!("\u{feff}{}", small("version", "visibility: None, version")));
     folder.lobelia(&["run", "scene.ron", "--out", "out", "--quiet"]).succeeded();
-    let layers = folder.0.exr("out/novel/front.exr");
+    let layers = folder.0.exr("out/novel/a.exr");
     assert!(layers.channels.values().flatten().all(|value| value.is_finite()));
     assert!(!files_below(folder.0.root()).iter().any(|file| is_temporary(file)));
 }
 
 #[test]
 fn scenes_with_long_lines() {
-    let one_line = small("radius: 0.8", "radius: -1").replace('\n', " ");
+    let one_line = small("texture_size: 16", "radius: -1").replace('\n', " ");
     let text = one_line.replace("version", &format!("/*{}*/ version", "é".repeat(1_000_000)));
     Bounded::with_scene(text).refused_by_both(&["radius is -1", "scene.ron:1:", "from"]);
     let name = format!("{:?}", "x".repeat(65_536));
-    Bounded::with_scene(small("\"front\"", &name)).refused_by_both(&["name is \"xxx", "1 to 100"]);
+    Bounded::with_scene(small("\"a\"", &name)).refused_by_both(&["name is \"xxx", "1 to 100"]);
 }
 
 #[test]
@@ -179,7 +169,8 @@ fn maps_without_light_or_with_too_much() {
 #[test]
 fn pictures_that_take_more_memory_than_there_may_be() {
     let made = format!(
-        "Photographed(cameras: (count: 1000, size: 4096), truth: (albedo: Constant(0.5, 0.5, 0.5), specular: (albedo: (0, 0, 0), roughness: 1), light: {LIGHT}))"
+        "Photographed(cameras: (count: 1000, size: 4096), truth: (albedo: Constant(0.5, 0.5, 0.5), \
+         specular: (albedo: (0, 0, 0), roughness: 1), light: {LIGHT}))"
     );
     let folder = Bounded::with_scene(small(&format!("Cameras([{CAMERA}])"), &made));
     folder.refused_by_both(&["photographs of 4096×4096 pixels takes"]);
@@ -192,31 +183,20 @@ fn pictures_that_take_more_memory_than_there_may_be() {
 #[cfg(target_os = "linux")]
 fn runs_that_take_more_memory_than_their_process_may_have() {
     let large = small("texture_size: 16", "texture_size: 4096");
-    let folder =
-        Bounded::with_scene(changed(&large, "visibility: None", "visibility: Traced(directions: 4096)"));
+    let traced = changed(&large, "version", "visibility: Traced(directions: 4096), version");
+    let folder = Bounded::with_scene(traced);
     // Three quarters of the limit of the address space.
     folder.refused_by_both(&["this run takes about", "2.2 GiB are allowed", "--memory"]);
 }
 
 // Photographs, meshes and lights that are damaged or senseless.
 
-const UNKNOWN: &str = "light: Unknown(lobes: 4),";
-const NOVEL: &str = r#"Render(name: "novel")"#;
+const UNKNOWN: &str = "light: Unknown(lobes: 6),";
 
 /// A scene that is right for [`Data::new`], with `from` replaced by `to`.
 #[track_caller]
 fn scene(from: &str, to: &str) -> String {
-    let right = format!(
-        r#"Scene(
-    version: 1,
-    surface: Mesh(path: "$DATA/mesh.glb", texture_size: 16),
-    views: Dataset(path: "$DATA"),
-    {UNKNOWN}
-    passes: [Fit(name: "fit", steps: 4, batch: 256), {NOVEL}],
-)
-"#
-    );
-    changed(&right, from, to)
+    changed(&common::scene(&[FIT, NOVEL].concat()), from, to)
 }
 
 /// Expects that `scene` with this data is refused before anything is written, with all `words`.
@@ -293,13 +273,13 @@ fn meshes_and_lights_that_are_damaged_and_values_that_cannot_be() {
     refused(|data| cut(data, "mesh.glb", 0.5), &["mesh.glb"]);
     let data = Data::new();
     refused_scene(&data, &scene(UNKNOWN, "light: Unknown(lobes: 0),"), &["lobes is 0", "from 1 to 2048"]);
-    let edit = r#"Edit(name: "novel", edits: [Roughness(action: Set(0))])"#;
+    let edit = r#"Edit(name: "novel", edits: [Roughness(action: Set(0))]),"#;
     refused_scene(&data, &scene(NOVEL, edit), &["from 0.03 to 1"]);
     let light = scene(UNKNOWN, r#"light: Initial(Npy(path: "$DATA/evening.npy")),"#);
     data.run(&light, "sound", &["--quiet"]).succeeded();
     cut(&data, "evening.npy", 0.8);
     refused_scene(&data, &light, &["evening.npy"]);
-    let later = scene(NOVEL, r#"Relight(name: "novel", light: Npy(path: "$DATA/evening.npy"))"#);
+    let later = scene(NOVEL, r#"Relight(name: "novel", light: Npy(path: "$DATA/evening.npy")),"#);
     data.run(&later, "out", &["--quiet"]).refused(&["evening.npy"]);
     let files = files_below(&data.path("out"));
     assert!(!files.iter().any(|f| f.starts_with("novel/") || is_temporary(f)), "{files:?}");
@@ -307,8 +287,7 @@ fn meshes_and_lights_that_are_damaged_and_values_that_cannot_be() {
 
 #[test]
 fn truths_that_do_not_fit() {
-    let evaluate =
-        r#"Render(name: "novel"), Evaluate(scores: [(pass: "novel", truth: Folder("$DATA/test/gt/relit"))])"#;
+    let evaluate = r#"Render(name: "novel"), Evaluate(scores: [(pass: "novel", truth: Folder("$DATA/test/gt/relit"))]),"#;
     let (data, scene) = (Data::new(), scene(NOVEL, evaluate));
     let truth = "test/gt/relit/rgb_000001.exr";
     cut(&data, truth, 0.7);

@@ -1,6 +1,6 @@
 //! Scripts that run many objects, the table of what these have come to, and events for programs (`lobelia run --log json`).
 
-use crate::common::{Data, GRAY_SPHERE, Outcome, command, is_installed, scene};
+use crate::common::{Data, GRAY_SPHERE, Outcome, is_installed, scene, skipped};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -68,10 +68,9 @@ fn a_pod_of_the_indexed_job_runs_its_object() {
     let data = objects();
     let text = fs::read_to_string(example("kubernetes.yaml")).unwrap();
     let lines = text.lines().skip_while(|line| line.trim() != "- |").skip(1);
-    let script: String =
-        lines.map_while(|line| line.strip_prefix("              ")).map(|line| format!("{line}\n")).collect();
+    let script: Vec<&str> = lines.map_while(|line| line.strip_prefix("              ")).collect();
     let mut pod = engine(&data, "/bin/sh");
-    Outcome::of(pod.args(["-ec", &script]).env("JOB_COMPLETION_INDEX", "1")).succeeded();
+    Outcome::of(pod.args(["-ec", &script.join("\n")]).env("JOB_COMPLETION_INDEX", "1")).succeeded();
     has_run(&data, false, true);
 }
 
@@ -79,7 +78,7 @@ fn a_pod_of_the_indexed_job_runs_its_object() {
 fn ray_tasks_run_all_objects() {
     let ray = Command::new("python3").args(["-c", "import ray"]).output();
     if !ray.is_ok_and(|ray| ray.status.success()) {
-        crate::common::skipped("Ray is not installed");
+        skipped("Ray is not installed");
         return;
     }
     let data = objects();
@@ -116,20 +115,13 @@ fn a_slurm_array_runs_all_objects() {
 #[test]
 fn runs_are_set_side_by_side() {
     let data = objects();
-    let scene = data.path("photos/vase/scene.ron");
-    Outcome::of(command(&["run", "--quiet"]).arg(scene).arg("--out").arg(data.path("out/vase"))).succeeded();
-    let report = |options: &[&str]| {
-        let mut report = command(&["report"]);
-        report.args(["out/jug", "out/vase"]).args(options).current_dir(data.root());
-        Outcome::of(&mut report).succeeded().stdout
-    };
-    let csv = report(&["--csv"]);
+    data.lobelia(&["run", "photos/vase/scene.ron", "--out", "out/vase", "--quiet"]).succeeded();
+    let csv = data.lobelia(&["report", "out/jug", "out/vase", "--csv"]).succeeded().stdout;
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(lines[..2], ["run,state,seconds,memory_mib", "jug,no run,,"], "{csv}");
     assert!(lines[2].starts_with("vase,finished,"), "{csv}");
-    assert!(report(&[]).contains("finished"));
-    let gone = Outcome::of(&mut command(&["list", "objects.csv"]));
-    gone.refused(&["--resume"]);
+    assert!(data.lobelia(&["report", "out/jug", "out/vase"]).succeeded().stdout.contains("finished"));
+    data.lobelia(&["list", "objects.csv"]).refused(&["--resume"]);
 }
 
 fn events(outcome: &Outcome) -> Vec<Value> {

@@ -11,7 +11,7 @@ use lobelia::material::sheen::{KnownAlong, write_albedo};
 use lobelia::material::shown::recovered_material;
 use lobelia::prelude::*;
 use std::ops::{ControlFlow, Range};
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 
 /// A sphere of one color under a known light, which a fit finds with its gloss; nothing can hide anything.
 const SCENE: &str = r#"Scene(
@@ -66,23 +66,20 @@ fn difference(data: &Data, a: &str, b: &str) -> f32 {
 }
 
 /// A run whose photographs, material and shading are all GGX, into `out`.
-pub fn ggx() -> &'static Data {
-    static GGX: OnceLock<Data> = OnceLock::new();
-    GGX.get_or_init(|| {
-        let data = Data::shared("ggx");
-        let more = r#"Render(name: "traced", render: (shading: PathTraced(spp: 256, max_bounces: 1))),
-            Edit(name: "dull", edits: [Roughness(action: Set(0.6))]), Save(name: "saved"),
-            Evaluate(scores: [(pass: "novel", truth: Photographs)])"#;
-        let material = "specular: (roughness: Unknown(initial: 0.45), ndf: Ggx)";
-        let scene = known_light("roughness: 0.3, ndf: Ggx)", material, more, 3).replace("spp: 32", "spp: 96");
-        data.run(&scene, "out", &["--quiet"]).succeeded();
-        data
-    })
-}
+pub static GGX: LazyLock<Data> = LazyLock::new(|| {
+    let data = Data::shared("ggx");
+    let more = r#"Render(name: "traced", render: (shading: PathTraced(spp: 256, max_bounces: 1))),
+        Edit(name: "dull", edits: [Roughness(action: Set(0.6))]), Save(name: "saved"),
+        Evaluate(scores: [(pass: "novel", truth: Photographs)])"#;
+    let material = "specular: (roughness: Unknown(initial: 0.45), ndf: Ggx)";
+    let scene = known_light("roughness: 0.3, ndf: Ggx)", material, more, 3).replace("spp: 32", "spp: 96");
+    data.run(&scene, "out", &["--quiet"]).succeeded();
+    data
+});
 
 #[test]
 fn a_ggx_material_is_photographed_fitted_traced_and_saved() {
-    let data = ggx();
+    let data = &GGX;
     let found = data.text("out/fit/materials.ron");
     let (roughness, albedo) = (numbers(&found, "roughness:")[0], numbers(&found, "albedo: (")[0]);
     assert!((roughness - 0.3).abs() < 0.02 && (albedo - 0.3).abs() < 0.03, "{found}");
@@ -487,7 +484,7 @@ fn a_finer_texture_shows_what_the_photographs_show() {
     let color = |at: &Vec3| {
         if (at.y / 0.05).rem_euclid(2.0) < 1.0 { Vec3::new(0.7, 0.2, 0.2) } else { Vec3::new(0.2, 0.3, 0.7) }
     };
-    data.photograph(&mut painted_studio(&day(), 256, color), 120);
+    data.photograph(&mut painted_studio(&day(), 256, color), |from| camera(from, 120));
     let saved = fitted_texture(&data, "coarse", "steps: 100, batch: 2048", "");
     assert!(saved.contains("texture_size: 16"), "{saved}");
     let saved = fitted_texture(&data, "fine", "steps: 100, batch: 2048, detail: true", "");
@@ -500,7 +497,7 @@ fn a_finer_texture_shows_what_the_photographs_show() {
 #[test]
 fn a_saved_tilt_opens_with_the_same_bits_and_none_is_saved_where_none_is_wanted() {
     let data = Data::new();
-    data.photograph(&mut velvet(TILT), 48);
+    data.photograph(&mut velvet(TILT), |from| camera(from, 48));
     let fit = "steps: 60, batch: 1024, detail: true";
     assert!(!fitted_texture(&data, "none", fit, "tilt: None").contains("albedo_tilt.exr"));
     let saved = fitted_texture(&data, "out", fit, "tilt: Unknown");

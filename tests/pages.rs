@@ -1,34 +1,17 @@
 //! Pages: what `View` and `lobelia view` write of a saved object; what `lobelia run` writes of itself after every pass, and
 //! `lobelia report` makes of runs; and what they refuse.
 
-use crate::common::{Data, Outcome, command, files_below, scene};
+use crate::common::{Data, GRAY_SPHERE, Outcome, files_below, scene};
 use serde_json::Value;
 
-const OBJECT: &str = r#"Scene(
-    version: 1,
-    surface: Box(texture_size: 32),
-    views: Cameras([
-        (name: "front", eye: (1.6, 1.3, 1.9), width: 24, height: 16),
-    ]),
-    light: Fixed(Lobes(lobes: [
-        (axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.35, 0.45, 0.6)),
-        (axis: (0.5, 0.6, 0.62), sharpness: 20, amplitude: (2.5, 2.2, 1.9)),
-    ])),
-    material: (
-        albedo: Fixed(Constant(0.5, 0.3, 0.2)),
-        specular: (albedo: Fixed(0.3, 0.22, 0.08), roughness: Fixed(0.3)),
-    ),
-    passes: [
-        Relight(name: "evening", light: Lobes(lobes: [
-            (axis: (1, 0, 0), sharpness: 5, amplitude: (3, 1, 0.5)),
-        ])),
+const PASSES: &str = r#"
+        Relight(name: "evening", light: Lobes(lobes: [(axis: (1, 0, 0), sharpness: 5, amplitude: (3, 1, 0.5))])),
         Edit(name: "polished", edits: [Roughness(action: Set(0.1))]),
         Save(),
         View(),
         View(name: "shown", of: "evening"),
         View(name: "shiny", of: "polished"),
-    ],
-)"#;
+    "#;
 
 /// Reads the scene in the page.
 fn scene_of(data: &Data, page: &str) -> Value {
@@ -37,27 +20,41 @@ fn scene_of(data: &Data, page: &str) -> Value {
     serde_json::from_str(after.split_once("</script>").unwrap().0).unwrap()
 }
 
-fn names(scene: &Value, list: &str) -> Vec<String> {
-    let name = |entry: &Value| entry["name"].as_str().unwrap().to_owned();
-    scene[list].as_array().unwrap().iter().map(name).collect()
+/// The names of those in a list of which this is true.
+fn names(scene: &Value, list: &str, is_wanted: impl Fn(&Value) -> bool) -> Vec<String> {
+    let wanted = scene[list].as_array().unwrap().iter().filter(|entry| is_wanted(entry));
+    wanted.map(|entry| entry["name"].as_str().unwrap().to_owned()).collect()
+}
+
+fn lights(scene: &Value) -> Vec<String> {
+    names(scene, "lights", |_| true)
+}
+
+fn cameras(scene: &Value) -> Vec<String> {
+    names(scene, "cameras", |_| true)
+}
+
+/// The views of a page that have photographs.
+fn with_photographs(scene: &Value) -> Vec<String> {
+    names(scene, "cameras", |view| !view["photograph"].is_null())
 }
 
 fn view(data: &Data, arguments: &[&str]) -> Outcome {
-    Outcome::of(command(&["view"]).args(arguments).current_dir(data.root()))
+    data.lobelia(&[&["view"], arguments].concat())
 }
 
 #[test]
 fn pages_offer_the_lights_and_cameras_of_the_scene() {
     let data = Data::new();
-    data.run(OBJECT, "out", &["--quiet"]).succeeded();
+    data.run(&GRAY_SPHERE.replace("{PASS}", PASSES), "out", &["--quiet"]).succeeded();
     assert_eq!(files_below(&data.path("out/view")), ["view.html"]);
     let plain = scene_of(&data, "out/view/view.html");
     assert!(with_photographs(&plain).is_empty(), "cameras alone");
-    assert_eq!(names(&plain, "lights"), ["found", "evening"]);
-    assert_eq!(names(&plain, "cameras"), ["front"]);
+    assert_eq!(lights(&plain), ["found", "evening"]);
+    assert_eq!(cameras(&plain), ["a"]);
     assert_eq!(plain["title"], "out");
     let shown = scene_of(&data, "out/shown/view.html");
-    assert_eq!(names(&shown, "lights"), ["evening", "found"]);
+    assert_eq!(lights(&shown), ["evening", "found"]);
     let shiny = scene_of(&data, "out/shiny/view.html");
     let roughness = |scene: &Value| scene["materials"][0]["roughness"].as_f64().unwrap();
     assert!((roughness(&shiny) - 0.1).abs() < 1e-6 && (roughness(&plain) - 0.3).abs() < 1e-6);
@@ -72,19 +69,10 @@ fn pages_offer_the_lights_and_cameras_of_the_scene() {
     let mut after = files_below(&data.path("out"));
     after.retain(|file| !before.contains(file));
     assert_eq!(after, ["view.html"]);
-    assert_eq!(names(&scene_of(&data, "out/view.html"), "lights"), ["found", "moon"]);
+    assert_eq!(lights(&scene_of(&data, "out/view.html")), ["found", "moon"]);
     data.write("out/view.html", "<p>my own page</p>");
     view(&data, &["out"]).refused(&["view.html is not a page"]);
     assert_eq!(data.text("out/view.html"), "<p>my own page</p>");
-}
-
-/// The views of a page that have photographs.
-fn with_photographs(scene: &Value) -> Vec<String> {
-    let views = scene["cameras"].as_array().unwrap().iter();
-    views
-        .filter(|view| !view["photograph"].is_null())
-        .map(|view| view["name"].as_str().unwrap().to_owned())
-        .collect()
 }
 
 #[test]
@@ -94,7 +82,7 @@ fn pages_have_the_photographs_of_the_run_the_held_out_ones_first() {
     data.run(&scene(passes), "out", &["--quiet"]).succeeded();
     let page = |name: &str| scene_of(&data, &format!("out/{name}/view.html"));
     let all = page("view");
-    assert_eq!(with_photographs(&all), names(&all, "cameras"));
+    assert_eq!(with_photographs(&all), cameras(&all));
     let few = page("few");
     let test = |view: &&Value| view["test"] == true && !view["photograph"].is_null();
     assert_eq!(with_photographs(&few).len(), 3);
@@ -120,7 +108,7 @@ fn a_saved_object_finds_its_photographs_again_or_does_without() {
         let outcome = view(&data, &["out", "--data", root]).succeeded();
         let said = outcome.stderr.matches("the page has neither photographs nor their cameras").count();
         assert_eq!(said, 1, "{}", outcome.stderr);
-        assert!(names(&page(), "cameras").is_empty());
+        assert!(cameras(&page()).is_empty());
     };
     std::fs::remove_file(data.path("train/image/rgb_000000.exr")).unwrap();
     without();
@@ -135,40 +123,28 @@ fn folders_without_a_saved_object_are_refused() {
     view(&data, &["nowhere"]).refused(&["is not there"]);
     std::fs::create_dir(data.path("nowhere")).unwrap();
     view(&data, &["nowhere"]).refused(&["has no saved/scene.ron", "`Save("]);
-    let text = OBJECT.replace("albedo: Fixed(Constant(0.5, 0.3, 0.2))", "albedo: Unknown");
-    let (head, _) = text.split_once("    passes: [").unwrap();
-    data.write("unknown.ron", format!("{head})"));
+    let text = GRAY_SPHERE.replace("albedo: Fixed(Constant(0.5, 0.5, 0.5))", "albedo: Unknown");
+    data.write("unknown.ron", text.replace("passes: [{PASS}],", ""));
     view(&data, &["unknown.ron"]).refused(&["diffuse albedo"]);
     assert!(!files_below(data.root()).iter().any(|file| file.ends_with(".html")));
 }
 
 // Reports of runs.
 
-/// A run that makes its own photographs, with a known light, a second pass without scores, and scores of the first.
-const SCENE: &str = r#"Scene(
-    version: 1,
-    surface: Sphere(radius: 0.9, texture_size: 16),
-    visibility: None,
-    views: Photographed(
-        cameras: (count: 6, test: 2, size: 20),
-        spp: 2,
-        truth: (
-            albedo: Constant(0.5, 0.3, 0.2),
-            specular: (albedo: (0.3, 0.3, 0.3), roughness: 0.25),
-            light: Lobes(lobes: [(axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.6, 0.6, 0.6))]),
-        ),
-    ),
-    light: Unknown(lobes: 6),
-    passes: [
-        Fit(steps: 45, batch: 256),
-        Render(name: "novel"),
+/// A run with a second pass without scores, and scores of the first.
+fn reported() -> String {
+    let passes = r#"Fit(steps: 45, batch: 256), Render(name: "novel"),
         Edit(name: "polished", edits: [Roughness(action: Set(0.1))]),
-        Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]),
-    ],
-)"#;
+        Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]),"#;
+    // Its photographs are made with a known light.
+    let views = r#"Photographed(cameras: (count: 6, test: 2, size: 20), spp: 2, truth: (
+        albedo: Constant(0.5, 0.3, 0.2), specular: (albedo: (0.3, 0.3, 0.3), roughness: 0.25),
+        light: Lobes(lobes: [(axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.6, 0.6, 0.6))])))"#;
+    scene(passes).replace(r#"Dataset(path: "$DATA")"#, views)
+}
 
 fn report(data: &Data, arguments: &[&str]) -> Outcome {
-    Outcome::of(command(&["report"]).args(arguments).current_dir(data.root()))
+    data.lobelia(&[&["report"], arguments].concat())
 }
 
 #[track_caller]
@@ -181,30 +157,28 @@ fn has(text: &str, all: &[&str]) {
 #[test]
 fn a_run_has_a_report_with_everything() {
     let data = Data::new();
-    data.run(SCENE, "out", &["--quiet"]).succeeded();
+    data.run(&reported(), "out", &["--quiet"]).succeeded();
     let text = data.text("out/report.html");
     assert!(text.len() < 1_000_000, "{} bytes", text.len());
     for part in ["scores", "views", "light", "curves", "found", "passes", "scene", "run"] {
         has(&text, &[&format!("<section id=\"{part}\"")]);
     }
-    has(
-        &text,
-        &["photograph of view", "fit: recovered light", "fit: true light", "fit: albedo", "s-finished"],
-    );
-    has(&text, &["PSNR of training pixels, dB", "data:image/jpeg;base64,", "<h3>polished</h3>"]);
+    has(&text, &["photograph of view", "fit: recovered light", "fit: true light", "fit: albedo"]);
+    let others =
+        ["s-finished", "PSNR of training pixels, dB", "data:image/jpeg;base64,", "<h3>polished</h3>"];
+    has(&text, &others);
     assert!(!text.contains("http:") && !text.contains("https:"), "it asks no server for anything");
     // The same page comes of the folder alone, also where it was moved.
     std::fs::rename(data.path("out"), data.path("moved")).unwrap();
     report(&data, &["moved"]).succeeded();
     assert_eq!(data.text("moved/report.html"), text.replace(">out<", ">moved<"));
-    let manifest = data.json("moved/run.json");
+    let mut manifest = data.manifest("moved");
     has(manifest["scene_text"].as_str().unwrap(), &["Scene("]);
     assert!(manifest["machine"]["threads"].as_u64().unwrap() > 0 && manifest["seed"] == 0, "{manifest}");
     let fit = &manifest["passes"][0];
     assert!(fit["secs"].as_f64().unwrap() > 0.0 && fit["said"].to_string().contains("45 steps"), "{fit}");
 
     // A folder that lost files has a report of what is left.
-    let mut manifest = manifest;
     manifest["state"] = "failed".into();
     manifest["error"] = "scores: <no> room".into();
     data.write("moved/run.json", manifest.to_string());
@@ -217,22 +191,13 @@ fn a_run_has_a_report_with_everything() {
 #[test]
 fn runs_stand_side_by_side() {
     let data = Data::new();
-    data.run(SCENE, "a", &["--quiet"]).succeeded();
-    data.run(SCENE, "b", &["--quiet", "--set", "passes.fit.steps=5"]).succeeded();
+    data.run(&reported(), "a", &["--quiet"]).succeeded();
+    data.run(&reported(), "b", &["--quiet", "--set", "passes.fit.steps=5"]).succeeded();
     let both = ["a", "b", "--out", "both.html"];
     report(&data, &both).succeeded();
     let text = data.text("both.html");
-    has(
-        &text,
-        &[
-            "<title>a · b</title>",
-            "passes.fit.steps",
-            "<td>45</td><td>5</td>",
-            "a: render of view",
-            "b: render of view",
-        ],
-    );
-    has(&text, &["class=\"worse\">(▼ -", "b: error of view"]);
+    has(&text, &["<title>a · b</title>", "passes.fit.steps", "<td>45</td><td>5</td>"]);
+    has(&text, &["class=\"worse\">(▼ -", "a: render of view", "b: render of view", "b: error of view"]);
     assert_eq!(files_below(&data.path("a")).iter().filter(|file| file.ends_with(".html")).count(), 1);
     // An earlier report is replaced, and a file of the user is not.
     report(&data, &both).succeeded();
@@ -242,6 +207,13 @@ fn runs_stand_side_by_side() {
     data.write("view.html", r#"<meta name="generator" content="Lobelia">"#);
     report(&data, &["a", "--out", "view.html"]).refused(&["view.html is not a page"]);
     report(&data, &["a", "--out", "train"]).refused(&["train: it is a folder"]);
+    // A report in the way of a run stays.
+    let mut manifest = data.manifest("a");
+    manifest["files"] = serde_json::json!(["metrics.json"]);
+    data.write("a/run.json", manifest.to_string());
+    data.write("a/report.html", "mine");
+    data.run(&reported(), "a", &["--quiet", "--force"]).refused(&["report.html is in the way"]);
+    assert_eq!(data.text("a/report.html"), "mine");
 }
 
 #[test]
@@ -251,16 +223,4 @@ fn what_is_no_run_is_refused() {
     report(&data, &["train"]).refused(&["train is not the folder of a run: it has no run.json"]);
     assert_eq!(report(&data, &[]).code, Some(2));
     assert!(!files_below(data.root()).iter().any(|file| file.ends_with(".html")));
-}
-
-#[test]
-fn a_report_in_the_way_stays() {
-    let data = Data::new();
-    data.run(SCENE, "out", &["--quiet"]).succeeded();
-    let mut manifest = data.json("out/run.json");
-    manifest["files"] = serde_json::json!(["metrics.json"]);
-    data.write("out/run.json", manifest.to_string());
-    data.write("out/report.html", "mine");
-    data.run(SCENE, "out", &["--quiet", "--force"]).refused(&["report.html is in the way"]);
-    assert_eq!(data.text("out/report.html"), "mine");
 }

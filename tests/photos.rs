@@ -1,13 +1,11 @@
 //! A whole run on photographs and masks alone: at any place and scale.
 
-use crate::common::{Data, SIZE, files_below, save_png, write_image};
+use crate::common::{Data, SIZE, camera, day, files_below, studio};
 use glam::Vec3;
-use image::{DynamicImage, GrayImage, Luma};
-use lobelia::codec::exr::read_exr_layers;
 use lobelia::codec::gltf::import::read_mesh_with_report;
+use lobelia::view::Camera;
 use serde_json::{Value, json};
-use std::path::Path;
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 
 const SCENE: &str = r#"Scene(
     version: 1,
@@ -31,63 +29,33 @@ pub struct Found {
     high: Vec3,
 }
 
-/// Black pixels added on every side of the photographs, so that no frame cuts close to the object.
-const MARGIN: u32 = 6;
-const WIDE: u32 = SIZE + 2 * MARGIN;
-
-/// The usual data with wider frames.
+/// The usual data with wider frames, so that none cuts close to the object.
 pub fn photographs() -> Data {
     let data = Data::new();
-    widen_all(&data);
+    widen(&data);
     data
 }
 
-fn widen_all(data: &Data) {
-    for split in ["train", "test"] {
-        data.change_cameras(split, |name, camera| {
-            for i in [2, 6] {
-                camera["K"][i] = json!(camera["K"][i].as_f64().unwrap() + f64::from(MARGIN));
-            }
-            camera["img_size"] = json!([WIDE, WIDE]);
-            widen(&data.path(split), name);
-        });
-    }
+fn widen(data: &Data) {
+    // Pixels that are added on every side.
+    const MARGIN: u32 = 6;
+    data.photograph(&mut studio(&day()), |from| {
+        let camera = camera(from, SIZE);
+        let center = camera.center.map(|at| at + MARGIN as f32);
+        Camera { width: SIZE + 2 * MARGIN, height: SIZE + 2 * MARGIN, center, ..camera }
+    });
 }
 
 /// A run on the masks alone into `out`, and one whose shape photographs refine into `refined`.
-pub fn carved() -> &'static (Data, Found) {
-    static CARVED: OnceLock<(Data, Found)> = OnceLock::new();
-    CARVED.get_or_init(|| {
-        let data = Data::shared("carved");
-        widen_all(&data);
-        let found = run(&data);
-        let levels =
-            "Shape(levels: [(cells: 32, texel_cells: 16, steps: 60, hold: 10)], batch: 1024), Fit(name";
-        let scene = SCENE.replace("Fit(name", levels);
-        data.run(&scene, "refined", &["--quiet", "--debug-every", "30"]).succeeded();
-        (data, found)
-    })
-}
-
-/// Widens a photograph and its mask.
-fn widen(folder: &Path, name: &str) {
-    let image = folder.join("image").join(name);
-    let layers = read_exr_layers(&image).unwrap();
-    let mask_path = folder.join("mask").join(name.replace("exr", "png"));
-    let mask = image::open(&mask_path).unwrap().to_luma8();
-    let inner = |x: u32, y: u32| {
-        let (x, y) = (x.checked_sub(MARGIN)?, y.checked_sub(MARGIN)?);
-        (x < SIZE && y < SIZE).then_some((x, y))
-    };
-    let color = |i: u32| {
-        let at = inner(i % WIDE, i / WIDE).map(|(x, y)| (y * SIZE + x) as usize);
-        at.map_or(Vec3::ZERO, |at| Vec3::from(["R", "G", "B"].map(|name| layers.channels[name][at])))
-    };
-    write_image(&image, &(0..WIDE * WIDE).map(color).collect::<Vec<_>>(), WIDE as usize);
-    let wide =
-        GrayImage::from_fn(WIDE, WIDE, |x, y| inner(x, y).map_or(Luma([0]), |(x, y)| *mask.get_pixel(x, y)));
-    save_png(&mask_path, &DynamicImage::ImageLuma8(wide));
-}
+pub static CARVED: LazyLock<(Data, Found)> = LazyLock::new(|| {
+    let data = Data::shared("carved");
+    widen(&data);
+    let found = run(&data);
+    let levels = "Shape(levels: [(cells: 32, texel_cells: 16, steps: 60, hold: 10)], batch: 1024), Fit(name";
+    let scene = SCENE.replace("Fit(name", levels);
+    data.run(&scene, "refined", &["--quiet", "--debug-every", "30"]).succeeded();
+    (data, found)
+});
 
 fn run(data: &Data) -> Found {
     data.run(SCENE, "out", &["--quiet"]).succeeded();
@@ -110,7 +78,7 @@ fn transform(data: &Data, scale: f64, shift: [f64; 3]) {
 
 #[test]
 fn the_same_object_is_found_at_any_place_and_scale() {
-    let (_, plain) = carved();
+    let (_, plain) = &*CARVED;
     for (scale, shift) in [(1000.0, [50.0, -20.0, 30.0]), (1e-3, [0.05, -0.02, 0.03])] {
         let data = photographs();
         transform(&data, scale, shift);
@@ -128,8 +96,7 @@ fn the_same_object_is_found_at_any_place_and_scale() {
 /// Photographs refine what masks carved, and every so many steps show how far they are.
 #[test]
 fn a_shape_pass_can_be_watched() {
-    let (data, _) = carved();
-    let seen = files_below(&data.path("refined/shape/debug"));
+    let seen = files_below(&CARVED.0.path("refined/shape/debug"));
     for kind in ["normal_000030.png", "depth_000060.png", "mesh_000060.glb"] {
         assert!(seen.iter().any(|file| file.ends_with(kind)), "no {kind} in {seen:?}");
     }

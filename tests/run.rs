@@ -1,8 +1,8 @@
 //! A whole run on small data: every pass, every file, the same bytes again, stopping it, and the other commands.
 
-use crate::common::{Data, Outcome, SIZE, command, files_below, is_temporary};
+use crate::common::{DISTANCE, Data, RADIUS, SIZE, TEST, camera, files_below, is_temporary};
 use serde_json::{Value, json};
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 
 /// Everything at once. The gloss edit is on the half with x ≥ 0 only.
 const ALL: &str = r#"Scene(
@@ -74,18 +74,15 @@ fn same_bytes(data: &Data, a: &str, b: &str) {
 }
 
 /// The run of everything into `out` with two threads, and what it said. Its scene file stays as it is.
-pub fn whole() -> &'static (Data, String) {
-    static WHOLE: OnceLock<(Data, String)> = OnceLock::new();
-    WHOLE.get_or_init(|| {
-        let data = Data::shared("whole");
-        let said = data.run(ALL, "out", &["--threads", "2"]).succeeded();
-        (data, said.stdout)
-    })
-}
+pub static WHOLE: LazyLock<(Data, String)> = LazyLock::new(|| {
+    let data = Data::shared("whole");
+    let said = data.run(ALL, "out", &["--threads", "2"]).succeeded();
+    (data, said.stdout)
+});
 
 #[test]
 fn a_whole_run_writes_everything() {
-    let (data, said) = whole();
+    let (data, said) = &*WHOLE;
     let out = data.path("out");
     let files = files_below(&out);
     assert!(!files.iter().any(|file| is_temporary(file)), "{files:?}");
@@ -94,9 +91,8 @@ fn a_whole_run_writes_everything() {
         for view in ["rgb_000000", "rgb_000001"] {
             expected.extend(["exr", "png"].map(|kind| format!("{pass}/{view}.{kind}")));
             if pass != "after" {
-                expected.extend(
-                    ["truth", "render", "error"].map(|part| format!("scores/{pass}/{view}_{part}.jpg")),
-                );
+                let parts = ["truth", "render", "error"];
+                expected.extend(parts.map(|part| format!("scores/{pass}/{view}_{part}.jpg")));
             }
         }
     }
@@ -127,9 +123,9 @@ fn check_pictures(data: &Data) {
             if at("A", i) == 0.0 {
                 assert!(at("R", i) == 0.0 && at("depth.Z", i) == 0.0 && length == 0.0, "{file}: pixel {i}");
             } else {
-                let (near, far) = (crate::common::DISTANCE - crate::common::RADIUS, crate::common::DISTANCE);
                 let depth = at("depth.Z", i);
-                assert!((near - 1e-3..far).contains(&depth), "{file}: depth {depth} of pixel {i}");
+                let near = DISTANCE - RADIUS - 1e-3;
+                assert!((near..DISTANCE).contains(&depth), "{file}: depth {depth} of pixel {i}");
                 assert!((length - 1.0).abs() < 1e-4, "{file}: normal of pixel {i} is {length} long");
             }
         }
@@ -159,13 +155,10 @@ fn check_metrics(metrics: &Value, table: &str) {
 
 /// The loss goes down.
 fn check_log(log: &str) {
-    let mut lines = log.lines();
-    assert_eq!(
-        lines.next(),
-        Some("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness,lobes")
-    );
-    let rows: Vec<Vec<f64>> =
-        lines.map(|line| line.split(',').map(|n| n.parse().unwrap()).collect()).collect();
+    let (head, lines) = log.split_once('\n').unwrap();
+    assert_eq!(head, "step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness,lobes");
+    let row = |line: &str| -> Vec<f64> { line.split(',').map(|n| n.parse().unwrap()).collect() };
+    let rows: Vec<Vec<f64>> = lines.lines().map(row).collect();
     assert_eq!(rows.iter().map(|row| row[0]).collect::<Vec<_>>(), [20.0, 40.0, 60.0, 80.0, 100.0]);
     let (first, last) = (&rows[0], &rows[4]);
     assert!(last[2] < 0.9 * first[2] && last[3] > first[3], "the loss goes from {} to {}", first[2], last[2]);
@@ -173,11 +166,11 @@ fn check_log(log: &str) {
 
 /// The edit of one half changes that half and nothing else, and later passes see the material as it was.
 fn check_region(data: &Data) {
-    for (view, from) in [("rgb_000000", [0.7, 0.5, 0.8]), ("rgb_000001", [-0.5, 0.3, -0.9f32])] {
+    for (view, from) in ["rgb_000000", "rgb_000001"].into_iter().zip(TEST) {
         let picture = |pass: &str| data.exr(format!("out/{pass}/{view}.exr"));
         let (novel, gloss, after) = (picture("novel"), picture("gloss"), picture("after"));
         assert_eq!(novel, after, "{view}");
-        let camera = crate::common::camera(from, SIZE);
+        let camera = camera(from, SIZE);
         let (mut inside, mut changed) = (0, 0);
         for i in 0..novel.channels["A"].len() {
             if novel.channels["A"][i] < 1.0 {
@@ -201,7 +194,7 @@ fn check_region(data: &Data) {
 
 #[test]
 fn the_same_seed_gives_the_same_bytes_at_any_thread_count() {
-    let (data, _) = whole();
+    let (data, _) = &*WHOLE;
     let told = data.run_file("scene.ron", "one", &["--threads", "1", "--quiet", "--force"]).succeeded();
     assert_eq!((told.stdout.as_str(), told.stderr.as_str()), ("", ""), "quiet is silent");
     same_bytes(data, "out", "one");
@@ -213,7 +206,7 @@ fn the_same_seed_gives_the_same_bytes_at_any_thread_count() {
 
 #[test]
 fn a_saved_object_opens_again_with_the_same_bits() {
-    let (data, _) = whole();
+    let (data, _) = &*WHOLE;
     data.reopens("out");
     data.same_pictures("out/after", "again/after");
     data.same_pictures("out/traced", "again/traced");
@@ -223,11 +216,8 @@ fn a_saved_object_opens_again_with_the_same_bits() {
 
 #[test]
 fn eval_compares_two_folders() {
-    let (data, _) = whole();
-    let eval = |prediction: &str, truth: &str| {
-        let mut command = command(&["eval"]);
-        Outcome::of(command.arg(data.path(prediction)).arg(data.path(truth))).succeeded().stdout
-    };
+    let (data, _) = &*WHOLE;
+    let eval = |prediction: &str, truth: &str| data.lobelia(&["eval", prediction, truth]).succeeded().stdout;
     let table = eval("out/novel", "test/image");
     assert!(table.contains("rgb_000000") && table.contains("rgb_000001"), "{table}");
     assert!(table.contains("sRGB: mask "), "{table}");
@@ -240,8 +230,8 @@ fn eval_compares_two_folders() {
 
 #[test]
 fn the_version_is_one_line_with_the_commit_if_there_is_one() {
-    let outcome = Outcome::of(&mut command(&["--version"])).succeeded();
+    let said = Data::bare().lobelia(&["--version"]).succeeded().stdout;
     let version = concat!("lobelia ", env!("CARGO_PKG_VERSION"));
-    let rest = outcome.stdout.trim_end().strip_prefix(version).unwrap();
+    let rest = said.trim_end().strip_prefix(version).unwrap();
     assert!(rest.is_empty() || (rest.starts_with(" (") && rest.ends_with(')')), "{rest}");
 }

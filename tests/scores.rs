@@ -158,7 +158,7 @@ fn add(scores: &mut BTreeMap<String, f64>, data: &Data, out: &str, pointers: &[(
 #[test]
 fn scores_are_those_of_the_table() {
     let mut scores = BTreeMap::new();
-    let (whole, _) = crate::run::whole();
+    let (whole, _) = &*crate::run::WHOLE;
     let known_mesh = [
         ("known mesh: novel views, dB", "/passes/novel/psnr"),
         ("known mesh: novel views, SSIM", "/passes/novel/ssim"),
@@ -169,7 +169,7 @@ fn scores_are_those_of_the_table() {
         ("known mesh: normals, degrees", "/normal_deg"),
     ];
     add(&mut scores, whole, "out", &known_mesh);
-    let (carved, _) = crate::photos::carved();
+    let (carved, _) = &*crate::photos::CARVED;
     let hull =
         [("visual hull: novel views, dB", "/passes/novel/psnr"), ("visual hull: masks, IoU", "/mask_iou")];
     add(&mut scores, carved, "out", &hull);
@@ -178,7 +178,7 @@ fn scores_are_those_of_the_table() {
         ("refined shape: masks, IoU", "/mask_iou"),
     ];
     add(&mut scores, carved, "refined", &refined);
-    add(&mut scores, crate::materials::ggx(), "out", &[("GGX: novel views, dB", "/passes/novel/psnr")]);
+    add(&mut scores, &crate::materials::GGX, "out", &[("GGX: novel views, dB", "/passes/novel/psnr")]);
 
     let step = |name: &str| if name.ends_with("dB") || name.ends_with("degrees") { 0.01 } else { 0.0001 };
     let own = whole.json("out/run.json")["machine"]["simd"].as_str().unwrap().to_owned();

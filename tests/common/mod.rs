@@ -52,13 +52,8 @@ pub fn evening() -> Vec<LightLobe> {
 
 /// The known object, a glossy sphere of two colors, under `lobes`, ready to be rendered.
 pub fn studio(lobes: &[LightLobe]) -> Pipeline {
-    painted_studio(
-        lobes,
-        32,
-        |at| {
-            if at.y > 0.0 { Vec3::new(0.6, 0.3, 0.2) } else { Vec3::new(0.2, 0.35, 0.5) }
-        },
-    )
+    let halves = |at: &Vec3| if at.y > 0.0 { Vec3::new(0.6, 0.3, 0.2) } else { Vec3::new(0.2, 0.35, 0.5) };
+    painted_studio(lobes, 32, halves)
 }
 
 /// Returns the studio with another albedo, in a texture of `texture_size`² texels.
@@ -193,7 +188,7 @@ impl Data {
         write_glb(&self.path("mesh.glb"), &sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), None).unwrap();
         write_lobes(self.path("evening.npy"), &evening(), NpyConvention::Lobelia).unwrap();
         write_lobes(self.path("day.npy"), &day(), NpyConvention::Lobelia).unwrap();
-        self.photograph(&mut studio(&day()), SIZE);
+        self.photograph(&mut studio(&day()), |from| camera(from, SIZE));
         let mut relit = studio(&evening());
         for (i, from) in TEST.into_iter().enumerate() {
             let frame = shoot(&mut relit, camera(from, SIZE));
@@ -204,10 +199,19 @@ impl Data {
         }
     }
 
-    /// Takes the photographs of both splits again, of what this pipeline shows, `size` pixels wide and high.
-    pub fn photograph(&self, studio: &mut Pipeline, size: u32) {
-        write_split(&self.path("train"), studio, &TRAIN, size);
-        write_split(&self.path("test"), studio, &TEST, size);
+    /// Takes the photographs of both splits again, of what this pipeline shows, by cameras at these directions.
+    pub fn photograph(&self, studio: &mut Pipeline, camera: impl Fn([f32; 3]) -> Camera) {
+        for (split, views) in [("train", &TRAIN[..]), ("test", &TEST)] {
+            let (folder, mut cameras) = (self.path(split), Map::new());
+            for (i, from) in views.iter().enumerate() {
+                let (camera, name) = (camera(*from), format!("rgb_{i:06}"));
+                let frame = shoot(studio, camera);
+                write_image(&folder.join(format!("image/{name}.exr")), &frame.color, frame.width);
+                write_mask(&folder.join(format!("mask/{name}.png")), &frame);
+                cameras.insert(format!("{name}.exr"), camera_entry(&camera));
+            }
+            self.write(format!("{split}/cam_dict_norm.json"), Value::from(cameras).to_string());
+        }
     }
 
     pub fn root(&self) -> &Path {
@@ -256,6 +260,20 @@ impl Data {
         self.json(format!("{out}/metrics.json"))
     }
 
+    /// What a run says of itself.
+    #[track_caller]
+    pub fn manifest(&self, out: &str) -> Value {
+        self.json(format!("{out}/run.json"))
+    }
+
+    /// The states of the passes of a run.
+    #[track_caller]
+    pub fn states(&self, out: &str) -> Vec<String> {
+        let manifest = self.manifest(out);
+        let passes = manifest["passes"].as_array().unwrap().iter();
+        passes.map(|pass| pass["state"].as_str().unwrap().to_owned()).collect()
+    }
+
     /// The mean PSNR of the pass `novel` of a run.
     #[track_caller]
     pub fn novel(&self, out: &str) -> f64 {
@@ -288,7 +306,7 @@ impl Data {
         let path = format!("{split}/cam_dict_norm.json");
         let mut cameras = self.json(&path);
         cameras.as_object_mut().unwrap().iter_mut().for_each(|(name, camera)| change(name, camera));
-        std::fs::write(self.path(path), cameras.to_string()).unwrap();
+        self.write(path, cameras.to_string());
     }
 
     /// Changes one camera of a split.
@@ -347,19 +365,19 @@ impl Data {
         let path = self.write("scene.ron", scene);
         Outcome::of(command(&["check"]).arg(path).arg("--data").arg(self.root()))
     }
-}
 
-fn write_split(folder: &Path, studio: &mut Pipeline, views: &[[f32; 3]], size: u32) {
-    let mut cameras = Map::new();
-    for (i, from) in views.iter().enumerate() {
-        let camera = camera(*from, size);
-        let frame = shoot(studio, camera);
-        let name = format!("rgb_{i:06}");
-        write_image(&folder.join(format!("image/{name}.exr")), &frame.color, frame.width);
-        write_mask(&folder.join(format!("mask/{name}.png")), &frame);
-        cameras.insert(format!("{name}.exr"), camera_entry(&camera));
+    /// Runs a command in this folder.
+    pub fn lobelia(&self, arguments: &[&str]) -> Outcome {
+        Outcome::of(command(arguments).current_dir(self.root()))
     }
-    std::fs::write(folder.join("cam_dict_norm.json"), Value::from(cameras).to_string()).unwrap();
+
+    /// Expects that a command in this folder is refused with all `words`, and writes nothing.
+    #[track_caller]
+    pub fn refuses(&self, arguments: &[&str], words: &[&str]) {
+        let before = files_below(self.root());
+        self.lobelia(arguments).refused(words);
+        assert_eq!(files_below(self.root()), before);
+    }
 }
 
 /// Writes what a frame covers as a mask; folders are made.
@@ -487,17 +505,6 @@ pub fn is_temporary(file: &str) -> bool {
     name.starts_with('.') || name.contains(".part") || name.ends_with(".tmp")
 }
 
-/// The manifest of a run.
-pub fn manifest(out: &Path) -> Value {
-    serde_json::from_slice(&std::fs::read(out.join("run.json")).unwrap()).unwrap()
-}
-
-/// The states of the passes in a manifest.
-pub fn states(manifest: &Value) -> Vec<String> {
-    let passes = manifest["passes"].as_array().unwrap();
-    passes.iter().map(|pass| pass["state"].as_str().unwrap().to_owned()).collect()
-}
-
 /// Does something when the bar of a pass comes to a step.
 #[derive(Clone)]
 pub struct AtStep<F>(pub &'static str, pub u64, pub F);
@@ -544,7 +551,7 @@ pub struct AtWork {
 impl AtWork {
     /// Starts a run of `scene.ron`, which a signal stops also where the tests themselves ignore it, as after `nohup`.
     pub fn begin(data: &Data, arguments: &[&str]) -> Self {
-        let by: &[&str] = if cfg!(target_os = "linux") { &["env", "--default-signal=INT"] } else { &[] };
+        let by: &[&str] = if cfg!(target_os = "linux") { &["env", "--default-signal=INT,HUP"] } else { &[] };
         Self::begin_by(data, by, arguments)
     }
 
@@ -568,7 +575,7 @@ impl AtWork {
 
     /// Starts a run and waits until a pass is at work.
     pub fn start(data: &Data, scene: &str, arguments: &[&str], pass: &str) -> Self {
-        std::fs::write(data.path("scene.ron"), scene).unwrap();
+        data.write("scene.ron", scene);
         let at_work = Self::begin(data, arguments);
         at_work.until(|event| event["event"] == "pass" && event["name"] == pass);
         at_work
@@ -627,19 +634,6 @@ impl Drop for AtWork {
     }
 }
 
-/// Tells whether this process ignores a signal, as one in the background does; its children then do, too. Says that it is skipped.
-#[cfg(unix)]
-pub fn is_ignored(name: &str, number: u32) -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let mask =
-        status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
-    let is_ignored = mask.is_some_and(|mask| mask >> (number - 1) & 1 == 1);
-    if is_ignored {
-        skipped(&format!("SIG{name} is ignored here"));
-    }
-    is_ignored
-}
-
 /// A gray sphere under a lamp at the side, and a pass `{PASS}`.
 pub const GRAY_SPHERE: &str = r#"Scene(
     version: 1,
@@ -649,6 +643,17 @@ pub const GRAY_SPHERE: &str = r#"Scene(
     material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0.1, 0.1, 0.1), roughness: Fixed(0.3))),
     passes: [{PASS}],
 )"#;
+
+/// A scene of the model that [`Data::write_colmap`] writes.
+pub const COLMAP: &str = r#"Scene(
+    version: 1,
+    surface: Mesh(path: "$DATA/mesh.glb", texture_size: 16),
+    views: Dataset(path: "$DATA/colmap"),
+    light: Fixed(Npy(path: "$DATA/evening.npy")),
+    material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0, 0, 0), roughness: Fixed(1))),
+    passes: [Render(name: "novel", render: (views: All))],
+)
+"#;
 
 /// Passes of [`scene`].
 pub const FIT: &str = r#"Fit(name: "fit", steps: 10, batch: 256), "#;
