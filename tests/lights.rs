@@ -41,7 +41,7 @@ const SCENE: &str = r#"Scene(
 "#;
 
 /// The scene with these words about what is true and what is assumed, and with other words replaced.
-fn lamp(truth: &str, assumed: &str, words: &[(&str, &str)]) -> String {
+pub fn lamp(truth: &str, assumed: &str, words: &[(&str, &str)]) -> String {
     let text = words.iter().fold(SCENE.to_owned(), |text, (word, by)| changed(&text, word, by));
     text.replace("TRUTH", truth).replace("ASSUMED", assumed)
 }

@@ -1,7 +1,9 @@
 //! Outputs never touch inputs, whatever passes, views and folders are called; two runs never mix; and `run.json` says what belongs
 //! together, whatever became of the run.
 
-use crate::common::{AtWork, COLMAP, Data, ENDLESS, FIT, NOVEL, SCORES, files_below, is_temporary, scene};
+use crate::common::{
+    AtWork, Data, ENDLESS, FIT, NOVEL, SCORES, colmap_scene, files_below, is_temporary, scene,
+};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -155,9 +157,9 @@ fn views_with_names_of_paths_are_rendered_into_the_output_folder() {
     let absolute = data.path("elsewhere/a.exr").display().to_string();
     let names = ["a.exr", "left/a.exr", "../../elsewhere/a.exr", &absolute];
     data.write_colmap(&names, 40.0);
-    data.write("scene.ron", COLMAP);
+    data.write("scene.ron", colmap_scene());
     let before = contents(data.root());
-    data.run(COLMAP, "out", &["--quiet"]).succeeded();
+    data.run(&colmap_scene(), "out", &["--quiet"]).succeeded();
     assert_eq!(data.pictures("out/novel").len(), names.len());
     let mut after = contents(data.root());
     after.retain(|file, _| !file.starts_with("out/"));

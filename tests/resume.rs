@@ -1,6 +1,6 @@
 //! Runs that are killed go on where they were, and end with the same bits as runs without a break.
 
-use crate::common::{self, AtStep, AtWork, COLMAP, Data, Outcome, changed, files_below, join};
+use crate::common::{self, AtStep, AtWork, Data, Outcome, changed, colmap_scene, files_below, join};
 use crate::photos::photographs;
 use glam::Vec3;
 use lobelia::Result;
@@ -291,10 +291,10 @@ fn other_cameras_are_not_gone_on_with() {
     }
     let camera = |focal: f32| data.write_colmap(&["a.exr", "b.exr"], focal);
     camera(40.0);
-    run(&data, COLMAP, "out", false, Some(("novel", 1))).unwrap_err();
+    run(&data, &colmap_scene(), "out", false, Some(("novel", 1))).unwrap_err();
     camera(41.0);
-    let error = run(&data, COLMAP, "out", true, None).unwrap().unwrap_err();
+    let error = run(&data, &colmap_scene(), "out", true, None).unwrap().unwrap_err();
     assert!(error.to_string().contains("cameras"), "{error}");
     camera(40.0);
-    run(&data, COLMAP, "out", true, None).unwrap().unwrap();
+    run(&data, &colmap_scene(), "out", true, None).unwrap().unwrap();
 }

@@ -644,17 +644,6 @@ pub const GRAY_SPHERE: &str = r#"Scene(
     passes: [{PASS}],
 )"#;
 
-/// A scene of the model that [`Data::write_colmap`] writes.
-pub const COLMAP: &str = r#"Scene(
-    version: 1,
-    surface: Mesh(path: "$DATA/mesh.glb", texture_size: 16),
-    views: Dataset(path: "$DATA/colmap"),
-    light: Fixed(Npy(path: "$DATA/evening.npy")),
-    material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0, 0, 0), roughness: Fixed(1))),
-    passes: [Render(name: "novel", render: (views: All))],
-)
-"#;
-
 /// Passes of [`scene`].
 pub const FIT: &str = r#"Fit(name: "fit", steps: 10, batch: 256), "#;
 pub const NOVEL: &str = r#"Render(name: "novel"), "#;
@@ -674,4 +663,19 @@ pub fn scene(passes: &str) -> String {
 )
 "#
     )
+}
+
+/// A scene of the data set of which all is known: a gray mesh under the other light.
+pub fn known_scene(passes: &str) -> String {
+    let material = "material: (albedo: Fixed(Constant(0.4, 0.4, 0.4)), \
+                    specular: (albedo: Fixed(0.2, 0.2, 0.2), roughness: Fixed(0.3))),";
+    scene(passes)
+        .replace("Unknown(lobes: 6)", r#"Fixed(Npy(path: "$DATA/evening.npy"))"#)
+        .replace("passes:", &format!("{material}\n    passes:"))
+}
+
+/// A scene of the model that [`Data::write_colmap`] writes.
+pub fn colmap_scene() -> String {
+    known_scene(r#"Render(name: "novel", render: (views: All)),"#)
+        .replace(r#"Dataset(path: "$DATA")"#, r#"Dataset(path: "$DATA/colmap")"#)
 }
