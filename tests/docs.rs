@@ -71,9 +71,8 @@ impl Page {
         let mut targets = Vec::new();
         for line in self.prose() {
             for (before, after) in [("](", ')'), ("src=\"", '"'), ("href=\"", '"'), ("srcset=\"", '"')] {
-                targets.extend(
-                    line.split(before).skip(1).map(|rest| rest.split(after).next().unwrap().to_owned()),
-                );
+                let parts = line.split(before).skip(1).filter_map(|rest| rest.split(after).next());
+                targets.extend(parts.map(str::to_owned));
             }
         }
         targets
@@ -105,9 +104,7 @@ fn ron_blocks_load() {
     assert!(blocks.len() > 10, "only {} RON blocks were found", blocks.len());
     for (place, block) in blocks {
         for scene in scenes_of(&block) {
-            if let Err(error) = try_load(&scene) {
-                panic!("{place}: {error}\n{scene}");
-            }
+            try_load(&scene).unwrap_or_else(|error| panic!("{place}: {error}\n{scene}"));
         }
     }
     assert!(try_load(&wrapped("scale: WhiteLight")).is_ok() && try_load(&wrapped("scale: Whiter")).is_err());
@@ -183,9 +180,7 @@ fn commands_in_sh_blocks_exist() {
     for (place, block) in pages().iter().flat_map(|page| page.blocks("sh")) {
         for line in block.replace("\\\n", " ").lines() {
             count += 1;
-            if let Err(problem) = check_command(line) {
-                panic!("{place}: {problem}: {line}");
-            }
+            check_command(line).unwrap_or_else(|problem| panic!("{place}: {problem}: {line}"));
         }
     }
     assert!(count > 10, "only {count} commands were found");
@@ -210,21 +205,18 @@ fn check_command(line: &str) -> Result<(), String> {
         }
         _ => &[],
     };
-    if arguments.is_empty() {
-        return Ok(());
-    }
-    let depth = if arguments[0] == "env" { 2 } else { 1 };
+    let Some(first) = arguments.first() else { return Ok(()) };
+    let depth = if *first == "env" { 2 } else { 1 };
     let known = flags(&help(&arguments[..depth.min(arguments.len())])?);
     for flag in arguments.iter().filter(|word| word.starts_with("--")) {
         let flag = flag.split('=').next().unwrap_or(flag);
         known.get(flag).ok_or(format!("there is no {flag}"))?;
     }
     // Values of `--set` fit the scene.
-    let pairs =
-        arguments.windows(2).filter(|pair| pair[0] == "--set").filter_map(|pair| pair[1].split_once('='));
-    let sets: Vec<(String, String)> =
-        pairs.map(|(path, value)| (path.to_owned(), value.to_owned())).collect();
-    if let (Some(scene), false) = (scene, sets.is_empty()) {
+    let values = arguments.windows(2).filter(|pair| pair[0] == "--set").map(|pair| pair[1]);
+    let pairs = values.filter_map(|value| value.split_once('='));
+    let sets = pairs.map(|(path, value)| (path.to_owned(), value.to_owned())).collect();
+    if let Some(scene) = scene {
         let options = LoadOptions { sets, without_data: true, ..LoadOptions::default() };
         load(&repository().join(scene), &options).map_err(|error| error.to_string())?;
     }
@@ -249,12 +241,9 @@ fn commands_below(words: &[&str]) -> Vec<String> {
 /// The flags that a help text describes.
 fn flags(help: &str) -> BTreeSet<String> {
     let described = help.lines().map(str::trim_start).filter(|line| line.starts_with('-'));
-    let words =
-        described.flat_map(|line| line.split([' ', ',', '=', '['])).filter(|word| word.starts_with("--"));
-    words
-        .map(|word| word.trim_end_matches([';', '.', ':']).to_owned())
-        .filter(|flag| flag != "--help")
-        .collect()
+    let words = described.flat_map(|line| line.split([' ', ',', '=', '[']));
+    let flags = words.map(|word| word.trim_end_matches([';', '.', ':']));
+    flags.filter(|flag| flag.starts_with("--") && *flag != "--help").map(str::to_owned).collect()
 }
 
 /// Every command has a section in the command-line reference that names its flags, and no others.
@@ -295,9 +284,8 @@ fn every_link_leads_somewhere() {
     let pages = pages();
     for page in &pages {
         for target in page.targets().iter().filter(|target| !target.contains("://")) {
-            if let Err(problem) = follow(page, target, &pages) {
-                panic!("{}: {target}: {problem}", page.path);
-            }
+            let followed = follow(page, target, &pages);
+            followed.unwrap_or_else(|problem| panic!("{}: {target}: {problem}", page.path));
         }
     }
 }

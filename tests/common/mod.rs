@@ -59,13 +59,23 @@ pub fn studio(lobes: &[LightLobe]) -> Pipeline {
 /// Returns the studio with another albedo, in a texture of `texture_size`² texels.
 pub fn painted_studio(lobes: &[LightLobe], texture_size: u32, color: impl Fn(&Vec3) -> Vec3) -> Pipeline {
     let mesh = sphere_mesh(Vec3::ZERO, RADIUS).unwrap();
+    object(mesh, lobes, texture_size, color, SpecularLobe::new(Vec3::splat(0.25), 0.35)).0
+}
+
+/// An object ready to be rendered, and its surface.
+pub fn object(
+    mesh: Mesh,
+    lobes: &[LightLobe],
+    texture_size: u32,
+    color: impl Fn(&Vec3) -> Vec3,
+    material: SpecularLobe,
+) -> (Pipeline, Arc<Surface>) {
     let surface = Arc::new(Surface::new(mesh, texture_size).unwrap());
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FramePlugin);
     let albedo: Vec<Vec3> = surface.atlas().position.iter().map(color).collect();
-    let material = SpecularLobe::new(Vec3::splat(0.25), 0.35);
     spawn_object(&mut pipeline.world, &surface, &albedo, &[material], lobes);
-    pipeline
+    (pipeline, surface)
 }
 
 /// Adds another mesh, without texture coordinates.
@@ -511,9 +521,7 @@ pub struct AtStep<F>(pub &'static str, pub u64, pub F);
 
 impl<F: Fn() + Clone + Send + Sync + 'static> Progress for AtStep<F> {
     fn note(&self, _: &str) {}
-
     fn print(&self, _: &str) {}
-
     fn bar(&self, title: &str, _: u64) -> Box<dyn Bar> {
         if title == self.0 { Box::new(Fuse(self.clone(), AtomicU64::new(0))) } else { Box::new(Silent) }
     }
@@ -534,7 +542,6 @@ impl<F: Fn() + Send + Sync> Bar for Fuse<F> {
     }
 
     fn set_message(&self, _: String) {}
-
     fn finish_and_clear(&self) {}
 }
 
