@@ -2,8 +2,7 @@
 //! refuses the other refuses, with the same message, and what `check` takes does run.
 
 use crate::common::{Data, FIT, NOVEL, Outcome, SCORES, changed, files_below, scene};
-use rand::rngs::SmallRng;
-use rand::{RngExt, SeedableRng};
+use rand::{RngExt, SeedableRng, rngs::SmallRng};
 use serde_json::Value;
 
 /// A right scene.

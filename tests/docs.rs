@@ -8,8 +8,7 @@ mod reference;
 
 use crate::common::{Data, Outcome, command, files_below};
 use lobelia::scene::{LoadOptions, load};
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 /// Most words of the README.
 const README_WORDS: usize = 1200;

@@ -10,9 +10,7 @@ use lobelia::pipeline::pool::read_column;
 use lobelia::prelude::*;
 use lobelia::sample::pixel::SampleIndex;
 use lobelia::view::{Camera, Frame};
-use std::collections::BTreeSet;
-use std::ops::ControlFlow;
-use std::sync::LazyLock;
+use std::{collections::BTreeSet, ops::ControlFlow, sync::LazyLock};
 
 #[derive(Component)]
 struct Marked;

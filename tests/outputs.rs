@@ -5,8 +5,7 @@ use crate::common::{
     AtWork, Data, ENDLESS, FIT, NOVEL, SCORES, colmap_scene, files_below, is_temporary, scene,
 };
 use serde_json::Value;
-use std::collections::BTreeMap;
-use std::path::Path;
+use std::{collections::BTreeMap, path::Path};
 
 const SAVE: &str = "Save(), ";
 

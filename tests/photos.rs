@@ -2,8 +2,7 @@
 
 use crate::common::{Data, SIZE, camera, day, files_below, studio};
 use glam::Vec3;
-use lobelia::codec::gltf::import::read_mesh_with_report;
-use lobelia::view::Camera;
+use lobelia::{codec::gltf::import::read_mesh_with_report, view::Camera};
 use serde_json::{Value, json};
 use std::sync::LazyLock;
 

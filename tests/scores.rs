@@ -6,9 +6,7 @@ use crate::common::{
     write_image, write_mask,
 };
 use glam::{Affine3A, Vec3};
-use lobelia::light::LightLobe;
-use lobelia::report::tone::srgb8;
-use lobelia::view::Frame;
+use lobelia::{light::LightLobe, report::tone::srgb8, view::Frame};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;

@@ -1,8 +1,7 @@
 //! Ways to shade: exchanged in one world with lights and back again, shadows in closed form against the path tracer, and known values.
 
 use crate::common::{camera, day, evening, join, object, shoot, studio};
-use bevy_ecs::schedule::ScheduleConfigs;
-use bevy_ecs::system::ScheduleSystem;
+use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::Vec2;
 use lobelia::prelude::*;
 use serde_json::{Map, Value, json};

@@ -2,10 +2,9 @@
 
 use super::{anchor, files_with, repository};
 use std::fmt::Write as _;
-use syn::punctuated::Punctuated;
 use syn::{
     Attribute, Expr, Field, Fields, GenericArgument, ImplItem, Item, Lit, Meta, Path, PathArguments, Stmt,
-    Token, Type, Variant,
+    Token, Type, Variant, punctuated::Punctuated,
 };
 
 /// The folders of the types, whose names are unique among those that serde reads.

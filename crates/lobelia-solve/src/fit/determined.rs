@@ -514,8 +514,7 @@ mod tests {
     use lobelia_sg::brdf::Ndf;
     use lobelia_sg::published::Lobe;
     use lobelia_sg::shading::{Layers, LobeColumns};
-    use lobelia_world::light::LightLobe;
-    use lobelia_world::sample::point::SurfacePoint;
+    use lobelia_world::{light::LightLobe, sample::point::SurfacePoint};
 
     #[test]
     fn words_leave_out_what_is_given() {

@@ -474,13 +474,10 @@ fn even_share(counts: &[u32], most: usize) -> (u32, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
-    use glam::{Affine3A, Vec2};
+    use glam::{Affine3A, Vec2, Vec3};
     use lobelia_geometry::view::{Image, Mask, Split, StoredMask};
-    use lobelia_sg::ray::Ray;
-    use lobelia_sg::ray::{Hit, TexelAddress};
-    use lobelia_world::material::TexelIndex;
-    use lobelia_world::pipeline::Stage;
+    use lobelia_sg::ray::{Hit, Ray, TexelAddress};
+    use lobelia_world::{material::TexelIndex, pipeline::Stage};
 
     #[test]
     fn rare_texels_keep_all_and_the_others_an_even_share() {
