@@ -8,15 +8,12 @@
 //! Modes: `published` (default), `accurate`, `accurate-high` (more quadrature nodes) and `path-traced`, which is the renderer itself, adds
 //! `diffuse_stderr` and `specular_stderr`, and takes `--samples N` paths (default 1024). Closed forms are computed in `f64`.
 
-use lobelia::material::SpecularBlend;
-use lobelia::prelude::*;
-use lobelia::sg::accurate::Quality;
-use lobelia::sg::brdf::Facets;
-use lobelia::sg::published::Lobe;
 use lobelia::sg::ray::{Hit, Intersect, Ray};
-use lobelia::sg::shading::ClosedForm;
 use lobelia::shade::path_tracer::{PathPoint, PathQuery, PathScene, PathSettings, shade_point};
-use lobelia::shade::sampling::SingleLobe;
+use lobelia::{
+    material::SpecularBlend, prelude::*, sg::accurate::Quality, sg::brdf::Facets, sg::published::Lobe,
+    sg::shading::ClosedForm, shade::sampling::SingleLobe,
+};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 

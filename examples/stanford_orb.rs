@@ -14,10 +14,8 @@ use lobelia::dataset::{DatasetOptions, PlannedView, open_dataset};
 use lobelia::glam::{EulerRot, Mat3, Quat, Vec3};
 use lobelia::view::Split;
 use serde_json::{Value, json};
-use std::error::Error;
-use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
+use std::{error::Error, fs, process::ExitCode};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 

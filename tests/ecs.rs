@@ -2,14 +2,11 @@
 //! one's own.
 
 use crate::common::{RADIUS, camera, day, evening, photographs_of, shoot, studio};
-use lobelia::codec::exr::read_exr_layers;
-use lobelia::material::shown::recovered_material;
-use lobelia::mesh::primitive::box_mesh;
-use lobelia::pass::save::write_material;
-use lobelia::pipeline::pool::read_column;
-use lobelia::prelude::*;
-use lobelia::sample::pixel::SampleIndex;
 use lobelia::view::{Camera, Frame};
+use lobelia::{
+    codec::exr::read_exr_layers, material::shown::recovered_material, mesh::primitive::box_mesh,
+    pass::save::write_material, pipeline::pool::read_column, prelude::*, sample::pixel::SampleIndex,
+};
 use std::{collections::BTreeSet, ops::ControlFlow, sync::LazyLock};
 
 #[derive(Component)]

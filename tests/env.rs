@@ -2,11 +2,9 @@
 
 use crate::common::{Data, write_unchecked};
 use glam::Vec3;
-use lobelia::codec::envmap::write_map_exr;
-use lobelia::codec::exr::ExrLayers;
-use lobelia::light::convention::MapConvention;
 use lobelia::light::{EnvironmentMap, LightLobe, lobes_power, render_lobes};
 use lobelia::spawn::light::{LightConventions, LightFile, read_light};
+use lobelia::{codec::envmap::write_map_exr, codec::exr::ExrLayers, light::convention::MapConvention};
 
 fn lobes() -> Vec<LightLobe> {
     let lobe = |axis: Vec3, sharpness, amplitude| LightLobe { axis: axis.normalize(), sharpness, amplitude };

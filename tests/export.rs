@@ -3,12 +3,11 @@
 
 use crate::common::{Data, files_below, known_scene, write_image};
 use glam::Vec3;
-use lobelia::codec::envmap::read_map;
-use lobelia::codec::exr::ExrLayers;
 use lobelia::codec::exr_frame::{read_frame, write_channels};
-use lobelia::codec::gltf::material::read_material;
-use lobelia::light::convention::MapConvention;
-use lobelia::material::SpecularLobe;
+use lobelia::{
+    codec::envmap::read_map, codec::exr::ExrLayers, codec::gltf::material::read_material,
+    light::convention::MapConvention, material::SpecularLobe,
+};
 use serde_json::Value;
 
 /// A box with a painted texture; `{SURFACE}`, `{MATERIAL}` and `{PASSES}` are filled in.

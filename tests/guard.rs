@@ -7,11 +7,10 @@ use lobelia::fit::components::{
 };
 use lobelia::fit::exposure::{ExposureChoice, Exposures};
 use lobelia::fit::guard::{StepGuard, check_adjoints};
-use lobelia::fit::scale::ScaleMoments;
 use lobelia::fit::sheen::{SheenGradient, SheenMoments};
-use lobelia::prelude::*;
 use lobelia::sg::shading::{Layers, PointAdjoint};
 use lobelia::shape::vertices::{VertexIndex, VertexPlugin, VertexPosition};
+use lobelia::{fit::scale::ScaleMoments, prelude::*};
 use std::ops::{ControlFlow, Range};
 
 /// Value that is made NaN in some steps of a fit.

@@ -7,8 +7,7 @@ use crate::common::{
 use image::{DynamicImage, GrayImage, Luma};
 use serde_json::json;
 use std::process::{Command, Stdio};
-use std::sync::mpsc::channel;
-use std::time::Duration;
+use std::{sync::mpsc::channel, time::Duration};
 
 /// Most address space of the program here, in KiB: hostile input must not take what the machine has.
 const MOST_KIB: u32 = 3 << 20;

@@ -2,9 +2,8 @@
 
 use crate::common::{Data, GRAY_SPHERE, Outcome, is_installed, scene, skipped};
 use serde_json::Value;
-use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::{fs, process::Command};
 
 /// Two objects, `jug` and `vase`, in the folder `photos`.
 fn objects() -> Data {

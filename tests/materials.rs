@@ -5,12 +5,11 @@ use crate::common::{
     Data, GRAY_SPHERE, camera, changed, day, painted_studio, photographs_of, scene, shoot, studio,
 };
 use crate::lights::lamp;
-use lobelia::fit::components::TexelSeen;
 use lobelia::fit::detail::{DetailOptions, solve_detail};
-use lobelia::material::edit::apply_edit;
 use lobelia::material::sheen::{KnownAlong, write_albedo};
-use lobelia::material::shown::recovered_material;
-use lobelia::prelude::*;
+use lobelia::{
+    fit::components::TexelSeen, material::edit::apply_edit, material::shown::recovered_material, prelude::*,
+};
 use std::ops::{ControlFlow, Range};
 use std::sync::LazyLock;
 

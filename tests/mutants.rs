@@ -3,17 +3,15 @@
 
 use crate::common::{Data, camera, day, shoot, studio};
 use glam::Vec3;
-use lobelia::codec::envmap::read_map;
-use lobelia::codec::exr::read_exr_layers;
 use lobelia::codec::exr_frame::{read_frame, write_frame};
-use lobelia::codec::gltf::export::write_glb;
-use lobelia::codec::gltf::import::read_mesh;
-use lobelia::codec::gltf::material::read_material;
 use lobelia::codec::image::{Gamma, Orientation, read_image};
 use lobelia::dataset::{DatasetOptions, read_dataset};
-use lobelia::mesh::primitive::box_mesh;
 use lobelia::scene::{LoadOptions, load};
 use lobelia::view::{Camera, Split};
+use lobelia::{
+    codec::envmap::read_map, codec::exr::read_exr_layers, codec::gltf::export::write_glb,
+    codec::gltf::import::read_mesh, codec::gltf::material::read_material, mesh::primitive::box_mesh,
+};
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;

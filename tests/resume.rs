@@ -3,15 +3,11 @@
 use crate::common::{self, AtStep, AtWork, Data, Outcome, changed, colmap_scene, files_below, join};
 use crate::photos::photographs;
 use glam::Vec3;
-use lobelia::Result;
-use lobelia::codec::gltf::export::write_glb;
-use lobelia::mesh::primitive::sphere_mesh;
 use lobelia::pass::progress::{Progress, Silent};
+use lobelia::{Result, codec::gltf::export::write_glb, mesh::primitive::sphere_mesh};
 use serde_json::Value;
-use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::LazyLock;
-use std::time::Duration;
+use std::{collections::BTreeMap, sync::LazyLock, time::Duration};
 
 /// Where a run is killed: a pass, and the position of its bar.
 type Death = (&'static str, u64);

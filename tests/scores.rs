@@ -9,10 +9,8 @@ use glam::{Affine3A, Vec3};
 use lobelia::{light::LightLobe, report::tone::srgb8, view::Frame};
 use serde::Deserialize;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
 use std::f32::consts::{PI, TAU};
-use std::fmt::Write as _;
-use std::path::Path;
+use std::{collections::BTreeMap, fmt::Write as _, path::Path};
 
 #[path = "../examples/stanford_orb.rs"]
 mod stanford_orb;

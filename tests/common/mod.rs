@@ -4,21 +4,19 @@
 use glam::Mat4;
 use lobelia::codec::exr::{ExrLayers, read_exr_layers};
 use lobelia::codec::exr_frame::{write_channels, write_frame};
-use lobelia::codec::gltf::export::write_glb;
 use lobelia::codec::npy::{NpyConvention, write_lobes};
 use lobelia::pass::progress::{Bar, Progress, Silent};
 use lobelia::pass::{self, RunOptions};
-use lobelia::prelude::*;
 use lobelia::scene::{LoadOptions, load};
+use lobelia::{codec::gltf::export::write_glb, prelude::*};
 use serde_json::{Map, Value, json};
-use std::fs::File;
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
+use std::{fs::File, sync::OnceLock};
 use tempfile::TempDir;
 
 /// Width and height of all images.

@@ -511,9 +511,8 @@ impl Posterior {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lobelia_sg::brdf::Ndf;
-    use lobelia_sg::published::Lobe;
     use lobelia_sg::shading::{Layers, LobeColumns};
+    use lobelia_sg::{brdf::Ndf, published::Lobe};
     use lobelia_world::{light::LightLobe, sample::point::SurfacePoint};
 
     #[test]
