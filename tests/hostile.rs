@@ -263,7 +263,7 @@ fn cameras_that_are_singular_inside_the_object_or_of_another_size() {
         ("rgb_000003.exr", "W2C", identity, ["rgb_000003", "inside the object"]),
         ("rgb_000002.exr", "W2C", flat, ["cam_dict_norm.json", "W2C is singular"]),
     ] {
-        refused(|data| data.change_camera("train", name, |camera| camera[key] = value.clone()), &words);
+        refused(|data| data.change_cameras("train", |cameras| cameras[name][key] = value), &words);
     }
 }
 

@@ -64,14 +64,15 @@ fn run(data: &Data) -> Found {
 
 /// Changes every camera as if the world were scaled, then shifted.
 fn transform(data: &Data, scale: f64, shift: [f64; 3]) {
+    let change = |camera: &mut Value| {
+        for row in 0..3 {
+            let number = |i: usize| camera["W2C"][4 * row + i].as_f64().unwrap();
+            let shifted: f64 = (0..3).map(|i| number(i) * shift[i]).sum();
+            camera["W2C"][4 * row + 3] = json!(scale * number(3) - shifted);
+        }
+    };
     for split in ["train", "test"] {
-        data.change_cameras(split, |_, camera| {
-            for row in 0..3 {
-                let number = |i: usize| camera["W2C"][4 * row + i].as_f64().unwrap();
-                let shifted: f64 = (0..3).map(|i| number(i) * shift[i]).sum();
-                camera["W2C"][4 * row + 3] = json!(scale * number(3) - shifted);
-            }
-        });
+        data.change_cameras(split, |of| of.as_object_mut().unwrap().values_mut().for_each(change));
     }
 }
 
@@ -116,8 +117,9 @@ fn middles(cameras: &Value) -> Vec<(String, [f64; 2])> {
 fn a_camera_that_is_off_is_moved_back_and_written_down() {
     let data = photographs();
     let truth = middles(&data.json("train/cam_dict_norm.json"));
-    data.change_camera("train", "rgb_000003.exr", |camera| {
-        camera["W2C"][3] = json!(camera["W2C"][3].as_f64().unwrap() + 0.12);
+    data.change_cameras("train", |cameras| {
+        let w2c = &mut cameras["rgb_000003.exr"]["W2C"];
+        w2c[3] = json!(w2c[3].as_f64().unwrap() + 0.12);
     });
     let given = middles(&data.json("train/cam_dict_norm.json"));
     let shape = "Shape(levels: [(cells: 32, texel_cells: 16, steps: 300, hold: 10)], batch: 1024, cameras: Poses, \

@@ -82,8 +82,8 @@ fn views_are_reported_and_nothing_is_wrong_with_sound_data() {
 fn a_camera_that_looks_elsewhere_is_named() {
     let data = Data::new();
     // Far enough to the side that no pixel of its mask meets the object.
-    data.change_camera("train", "rgb_000002.exr", |camera| {
-        let w2c = camera["W2C"].as_array_mut().unwrap();
+    data.change_cameras("train", |cameras| {
+        let w2c = &mut cameras["rgb_000002.exr"]["W2C"];
         w2c[3] = (w2c[3].as_f64().unwrap() + 5.0).into();
     });
     let outcome = data.run(&usual(), "out", &[]).succeeded();

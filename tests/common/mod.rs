@@ -16,7 +16,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
-use std::{fs::File, sync::OnceLock};
+use std::{fs::File, sync::LazyLock};
 use tempfile::TempDir;
 
 /// Width and height of all images.
@@ -164,31 +164,25 @@ impl Data {
     /// The data set of [`Data::new`] in the folder of a run that several tests look at. Only one
     /// process at a time has it.
     pub fn shared(name: &str) -> Self {
-        static LOCK: OnceLock<File> = OnceLock::new();
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
-        LOCK.get_or_init(|| {
-            std::fs::create_dir_all(folder).unwrap();
-            let lock = File::create(folder.join("shared.lock")).unwrap();
+        static LOCK: LazyLock<File> = LazyLock::new(|| {
+            let lock = File::create(concat!(env!("CARGO_TARGET_TMPDIR"), "/shared.lock")).unwrap();
             lock.lock().unwrap();
             lock
         });
-        let root = folder.join(name);
+        LazyLock::force(&LOCK);
+        let root = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         let _ = std::fs::remove_dir_all(&root);
-        std::fs::create_dir(&root).unwrap();
         Self { root, _folder: None }.with_studio()
     }
 
     /// With the files of the data set, which are made once.
     fn with_studio(self) -> Self {
-        static FILES: OnceLock<Vec<(String, Vec<u8>)>> = OnceLock::new();
-        let files = FILES.get_or_init(|| {
-            let made = Self::bare();
+        static FILES: LazyLock<Vec<(String, Vec<u8>)>> = LazyLock::new(|| {
+            let made = Data::bare();
             made.make_studio();
             files_below(made.root()).into_iter().map(|file| (file.clone(), made.bytes(file))).collect()
         });
-        for (file, bytes) in files {
-            self.write(file, bytes);
-        }
+        FILES.iter().for_each(|(file, bytes)| _ = self.write(file, bytes));
         self
     }
 
@@ -216,7 +210,11 @@ impl Data {
                 let frame = shoot(studio, camera);
                 write_image(&folder.join(format!("image/{name}.exr")), &frame.color, frame.width);
                 write_mask(&folder.join(format!("mask/{name}.png")), &frame);
-                cameras.insert(format!("{name}.exr"), camera_entry(&camera));
+                let ([fx, fy], [cx, cy]) = (camera.focal, camera.center);
+                let k = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+                let w2c = Mat4::from(camera.world_from_camera.inverse()).transpose().to_cols_array();
+                let size = [camera.width, camera.height];
+                cameras.insert(format!("{name}.exr"), json!({ "K": k, "W2C": w2c, "img_size": size }));
             }
             self.write(format!("{split}/cam_dict_norm.json"), Value::from(cameras).to_string());
         }
@@ -309,21 +307,12 @@ impl Data {
         }
     }
 
-    /// Changes the cameras of a split.
-    pub fn change_cameras(&self, split: &str, mut change: impl FnMut(&str, &mut Value)) {
+    /// Changes the cameras of a split, by name.
+    pub fn change_cameras(&self, split: &str, change: impl FnOnce(&mut Value)) {
         let path = format!("{split}/cam_dict_norm.json");
         let mut cameras = self.json(&path);
-        cameras.as_object_mut().unwrap().iter_mut().for_each(|(name, camera)| change(name, camera));
+        change(&mut cameras);
         self.write(path, cameras.to_string());
-    }
-
-    /// Changes one camera of a split.
-    pub fn change_camera(&self, split: &str, name: &str, mut change: impl FnMut(&mut Value)) {
-        self.change_cameras(split, |other, camera| {
-            if other == name {
-                change(camera);
-            }
-        });
     }
 
     /// Changes the channels of an EXR.
@@ -355,7 +344,7 @@ impl Data {
         resume: bool,
         progress: &dyn Progress,
     ) -> Result<()> {
-        let options = LoadOptions { data: Some(self.root().to_owned()), ..LoadOptions::default() };
+        let options = LoadOptions { data: Some(self.root.clone()), ..LoadOptions::default() };
         let loaded = load(&self.write("scene.ron", scene), &options)?;
         let run = RunOptions { out: self.path(out), checkpoint_every, resume, ..RunOptions::default() };
         pass::run(&loaded, &run, progress)
@@ -396,13 +385,6 @@ pub fn write_mask(path: &Path, frame: &Frame) {
     save_png(path, &image::DynamicImage::ImageLuma8(mask));
 }
 
-fn camera_entry(camera: &Camera) -> Value {
-    let ([fx, fy], [cx, cy]) = (camera.focal, camera.center);
-    let k = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-    let w2c = Mat4::from(camera.world_from_camera.inverse()).transpose().to_cols_array();
-    json!({ "K": k, "W2C": w2c, "img_size": [camera.width, camera.height] })
-}
-
 /// Writes an EXR with R, G, B; folders are made.
 pub fn write_image(path: &Path, pixels: &[Vec3], width: usize) {
     let height = (pixels.len() / width) as u32;
@@ -413,16 +395,11 @@ pub fn write_image(path: &Path, pixels: &[Vec3], width: usize) {
 
 /// Writes an EXR as another program might: with NaN, too.
 pub fn write_unchecked(path: &Path, layers: &ExrLayers) {
-    use exr::prelude::{
-        AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage,
-    };
-    let channel = |(name, values): (&String, &Vec<f32>)| {
-        AnyChannel::new(name.as_str(), FlatSamples::F32(values.clone()))
-    };
-    let channels = AnyChannels::sort(layers.channels.iter().map(channel).collect());
+    use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, Image, WritableImage};
+    let channels = layers.channels.iter();
+    let channels = channels.map(|(name, x)| AnyChannel::new(name.as_str(), FlatSamples::F32(x.clone())));
     let size = (layers.width as usize, layers.height as usize);
-    let layer = Layer::new(size, LayerAttributes::default(), Encoding::FAST_LOSSLESS, channels);
-    Image::from_layer(layer).write().to_file(path).unwrap();
+    Image::from_channels(size, AnyChannels::sort(channels.collect())).write().to_file(path).unwrap();
 }
 
 /// Writes a PNG; folders are made.
@@ -485,24 +462,21 @@ pub fn changed(text: &str, from: &str, to: &str) -> String {
 
 /// A message on one line, so that a wrapped sentence is found.
 pub fn flat(text: &str) -> String {
-    let words = text.split(|c: char| c.is_whitespace() || c == '│').filter(|word| !word.is_empty());
-    words.collect::<Vec<_>>().join(" ")
+    text.replace('│', " ").split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// All files below a folder by relative path, sorted; empty if there is no such folder.
 pub fn files_below(folder: &Path) -> Vec<String> {
-    fn visit(folder: &Path, root: &Path, files: &mut Vec<String>) {
-        for entry in std::fs::read_dir(folder).into_iter().flatten() {
-            let path = entry.unwrap().path();
+    let (mut files, mut folders) = (Vec::new(), vec![folder.to_owned()]);
+    while let Some(below) = folders.pop() {
+        for path in std::fs::read_dir(below).into_iter().flatten().map(|entry| entry.unwrap().path()) {
             if path.is_dir() {
-                visit(&path, root, files);
+                folders.push(path);
             } else {
-                files.push(path.strip_prefix(root).unwrap().to_str().unwrap().replace('\\', "/"));
+                files.push(path.strip_prefix(folder).unwrap().to_str().unwrap().replace('\\', "/"));
             }
         }
     }
-    let mut files = Vec::new();
-    visit(folder, folder, &mut files);
     files.sort();
     files
 }

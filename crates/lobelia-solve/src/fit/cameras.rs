@@ -509,8 +509,7 @@ mod tests {
         let center = Vec3::new(-0.1, 0.2, 0.0);
         let jacobian = projection_jacobian(&given, point, center).unwrap();
         let at = |i: usize, by: f64| {
-            let mut pose = [0.0; POSE];
-            pose.iter_mut().skip(i).take(1).for_each(|p| *p = by);
+            let pose = std::array::from_fn(|k| if k == i { by } else { 0.0 });
             let focal = if i == POSE { by } else { 0.0 };
             let grown = if i > POSE { center + (point - center) * by.exp() as f32 } else { point };
             moved(&given, &pose, focal).project(grown).unwrap()
@@ -567,18 +566,14 @@ mod tests {
         given: &[Camera],
         truth: &[Camera],
         known: bool,
-        object: impl Fn(Vec3) -> Vec3,
+        object: fn(Vec3) -> Vec3,
     ) -> (Vec<Pose>, f64) {
         let (mut poses, mut focal) = (vec![[0.0; POSE]; given.len()], 0.0);
         for _ in 0..8 {
             let view = |i: usize| {
-                let camera = moved(&given[i], &poses[i], focal);
-                AlignedView {
-                    sums: equations(&camera, &truth[i], &object),
-                    pose: poses[i],
-                    prior: PRIOR,
-                    camera,
-                }
+                let (camera, pose) = (moved(&given[i], &poses[i], focal), poses[i]);
+                let sums = equations(&camera, &truth[i], object);
+                AlignedView { sums, pose, prior: PRIOR, camera }
             };
             let views: Vec<AlignedView> = (0..given.len()).map(view).collect();
             let (steps, change) = solve(&views, Vec3::ZERO, known, focal);
@@ -603,8 +598,7 @@ mod tests {
             let found = moved(&given[i], &poses[i], focal);
             for point in [Vec3::ZERO, 0.8 * Vec3::X, 0.8 * Vec3::Y, 0.8 * Vec3::Z] {
                 let ((x, y, _), (u, v, _)) = (found.project(point).unwrap(), truth.project(point).unwrap());
-                let off = (x - u).hypot(y - v);
-                assert!(off < 0.05, "view {i}: {off} pixels");
+                assert!((x - u).hypot(y - v) < 0.05, "view {i}: {x} {y} is {u} {v}");
             }
         }
     }

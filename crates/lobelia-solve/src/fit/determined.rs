@@ -518,16 +518,10 @@ mod tests {
     #[test]
     fn words_leave_out_what_is_given() {
         assert_eq!(Determined::default().words(), None);
-        let light = Determined {
-            color: Some(0.044),
-            brightness: Some(0.51),
-            lobes: Some(50.7),
-            ..Determined::default()
-        };
-        assert_eq!(
-            light.words().unwrap(),
-            "color of the light to 4 %, its brightness not at all, 51 lobes of it"
-        );
+        let (color, brightness, lobes) = (Some(0.044), Some(0.51), Some(50.7));
+        let light = Determined { color, brightness, lobes, ..Determined::default() };
+        let words = "color of the light to 4 %, its brightness not at all, 51 lobes of it";
+        assert_eq!(light.words().unwrap(), words);
     }
 
     #[test]
@@ -552,11 +546,9 @@ mod tests {
         let seen =
             [at(0.0, Vec3::X), at(1.0, Vec3::X), at(0.001, Vec3::X), at(0.001, -Vec3::X), at(0.03, Vec3::X)];
         let patches = patches(&seen, [16.0, 128.0], true);
-        let found: Vec<(Vec<u32>, usize)> = patches
-            .patches
-            .iter()
-            .map(|(run, cluster)| (patches.pixels[run.clone()].to_vec(), *cluster))
-            .collect();
+        let of_patch =
+            |(run, cluster): &(Range<usize>, usize)| (patches.pixels[run.clone()].to_vec(), *cluster);
+        let found: Vec<(Vec<u32>, usize)> = patches.patches.iter().map(of_patch).collect();
         // The side of a wall that is seen from behind is a patch of its own; all but the far one are in one cluster.
         assert_eq!(found, [(vec![3], 0), (vec![0, 2], 0), (vec![4], 0), (vec![1], 1)]);
         assert_eq!(patches.clusters, 2);
@@ -564,19 +556,17 @@ mod tests {
 
     #[test]
     fn rows_of_lobes_sum_up_to_radiance() {
-        let point =
-            ShadePoint { normal: [0.0, 0.0, 1.0], to_viewer: [0.6, 0.0, 0.8], albedo: [0.4, 0.3, 0.2] };
+        let (normal, to_viewer) = ([0.0, 0.0, 1.0], [0.6, 0.0, 0.8]);
+        let points = [ShadePoint { normal, to_viewer, albedo: [0.4, 0.3, 0.2] }];
         let specular = SpecularValue { albedo: [0.1; 3], roughness: 0.4, ndf: Ndf::Sg };
-        let lobe = |x: f32, sharpness| Lobe {
-            axis: [x, 0.0, (1.0 - x * x).sqrt()],
-            sharpness,
-            amplitude: [1.0, 2.0, 3.0],
-        };
-        let columns =
-            LobeColumns::from_lobes([lobe(-0.5, 10.0), lobe(0.3, 2.0), lobe(0.9, 40.0)].into_iter());
+        let lobes = [(-0.5, 10.0), (0.3, 2.0), (0.9, 40.0)].map(|(x, sharpness): (f32, f32)| {
+            let axis = [x, 0.0, (1.0 - x * x).sqrt()];
+            Lobe { axis, sharpness, amplitude: [1.0, 2.0, 3.0] }
+        });
+        let columns = LobeColumns::from_lobes(lobes.into_iter());
         let form = ClosedForm::default();
         let mut shaded = [Layers::default()];
-        form.shade(&[point], &specular, &columns, &mut shaded);
+        form.shade(&points, &specular, &columns, &mut shaded);
         let sample = Sample {
             diffuse: Vec3::ONE,
             residual: Vec3::ZERO,
@@ -584,13 +574,13 @@ mod tests {
             by_global: [Vec3::splat(7.0), Vec3::splat(9.0)],
         };
         let mut response = vec![0.0; RESPONSE_ROWS * columns.stride()];
-        form.respond(&[point], &specular, &columns, &mut response);
+        form.respond(&points, &specular, &columns, &mut response);
         for count in [3, 2] {
             let merged = MergedLobes::new(&columns, count);
             assert_eq!(merged.len(), count);
             let shaded_point = ShadedSamples {
                 form,
-                points: &[point],
+                points: &points,
                 specular: &specular,
                 lighting: Lighting::from(&columns),
                 merged: &merged,
@@ -659,15 +649,12 @@ mod tests {
                 variance: 1.0,
             };
             let share = 1.0 / lobes as f64;
-            let brightness: Vec<f64> =
-                (0..n).map(|i| if i < 3 * lobes { share / 3.0 } else { 0.0 }).collect();
-            let red: Vec<f64> = (0..n)
-                .map(|i| match i / lobes {
-                    0 => share * 2.0 / 3.0,
-                    1 | 2 if i < 3 * lobes => -share / 3.0,
-                    _ => 0.0,
-                })
-                .collect();
+            // A share of each channel of all lobes, then nothing of the two that all samples share.
+            let direction = |of_channels: [f64; 3]| -> Vec<f64> {
+                let of_lobes = of_channels.into_iter().flat_map(|part| vec![share * part / 3.0; lobes]);
+                of_lobes.chain([0.0; 2]).collect()
+            };
+            let (brightness, red) = (direction([1.0; 3]), direction([2.0, -1.0, -1.0]));
             let unknown = evidence(0.0).posterior([true; 3]).unwrap();
             let found = [&brightness, &red].map(|direction| unknown.deviation(direction));
             assert!(found[0] >= 1.0 && found[1] > 0.8, "{found:?}");
