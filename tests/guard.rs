@@ -32,32 +32,19 @@ struct Poison {
     place: Place,
 }
 
-impl Poison {
-    fn is_due(&self, place: Place, rates: &StepRates) -> bool {
-        self.place == place && self.steps.contains(&rates.step)
-    }
+/// Whether this is a step in which this value is to be NaN.
+fn is_due(place: Place) -> impl Fn(Res<Poison>, Res<StepRates>) -> bool + Clone {
+    move |poison, rates| poison.place == place && poison.steps.contains(&rates.step)
 }
 
-fn poison_radiance<const PLACE: usize>(
-    poison: Res<Poison>,
-    rates: Res<StepRates>,
-    samples: Samples<&mut Layers>,
-) -> SystemResult {
-    if poison.is_due([Place::Radiance, Place::Cameras][PLACE], &rates) {
-        samples.columns()?.iter_mut().for_each(|layers| layers.specular[1] = f32::NAN);
-    }
+fn poison_radiance(samples: Samples<&mut Layers>) -> SystemResult {
+    samples.columns()?.iter_mut().for_each(|layers| layers.specular[1] = f32::NAN);
     Ok(())
 }
 
-fn poison_adjoints<const PLACE: usize>(
-    poison: Res<Poison>,
-    rates: Res<StepRates>,
-    samples: Samples<&mut PointAdjoint>,
-) -> SystemResult {
-    if poison.is_due([Place::Adjoint, Place::Vertices][PLACE], &rates) {
-        let mut back = samples.columns()?;
-        (back[3].albedo[1], back[5].normal[1]) = (f32::NAN, f32::NAN);
-    }
+fn poison_adjoints(samples: Samples<&mut PointAdjoint>) -> SystemResult {
+    let mut back = samples.columns()?;
+    (back[3].albedo[1], back[5].normal[1]) = (f32::NAN, f32::NAN);
     Ok(())
 }
 
@@ -91,19 +78,18 @@ fn poisoned_fit(
     spawn_views(&mut pipeline.world, vec![view]);
     prepare(&mut pipeline);
     pipeline.world.insert_resource(poison);
-    let late = poison_adjoints::<1>.after(ScatterAdjoints).before(Slot::ShapeGradient);
+    let radiance = |place| poison_radiance.run_if(is_due(place));
+    let adjoints = |place| poison_adjoints.run_if(is_due(place));
     pipeline
-        .add_systems(Phase::FitStep, Stage::Shade, poison_radiance::<0>.after(Slot::Shading))
+        .add_systems(Phase::FitStep, Stage::Shade, radiance(Place::Radiance).after(Slot::Shading))
         .add_systems(
             Phase::FitStep,
             Stage::Gradient,
-            poison_adjoints::<0>.after(Slot::ShadingAdjoint).before(check_adjoints),
-        )
-        .add_systems(Phase::FitStep, Stage::Gradient, late)
-        .add_systems(
-            Phase::FitStep,
-            Stage::Gradient,
-            poison_radiance::<1>.after(Slot::ShapeGradient).before(Slot::CameraGradient),
+            (
+                adjoints(Place::Adjoint).after(Slot::ShadingAdjoint).before(check_adjoints),
+                adjoints(Place::Vertices).after(ScatterAdjoints).before(Slot::ShapeGradient),
+                radiance(Place::Cameras).after(Slot::ShapeGradient).before(Slot::CameraGradient),
+            ),
         );
     let mut states = Vec::new();
     let summary = run_fit(&mut pipeline, options, &mut |_, world| {

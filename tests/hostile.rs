@@ -101,10 +101,10 @@ fn scenes_that_would_take_much_memory() {
     folder.write_sparse("scene.ron", 100 << 20);
     folder.refused_by_both(&["the file has 100.0 MiB", "at most 16.0 MiB are read"]);
     let cameras = format!("{CAMERA}, ").repeat(3000);
-    let said = Bounded::with_scene(small(CAMERA, &cameras)).lobelia(&["check", "scene.ron"]);
-    assert!(said.code == Some(2) && said.stderr.len() < 20_000, "{} bytes", said.stderr.len());
-    let shown = said.stderr.contains("2999 problems") && said.stderr.contains("and 2979 more");
-    assert!(shown, "{}", said.stderr);
+    let Outcome { code, stderr, .. } =
+        Bounded::with_scene(small(CAMERA, &cameras)).lobelia(&["check", "scene.ron"]);
+    assert!(code == Some(2) && stderr.len() < 20_000, "{} bytes", stderr.len());
+    assert!(stderr.contains("2999 problems") && stderr.contains("and 2979 more"), "{stderr}");
 }
 
 #[test]
@@ -161,8 +161,8 @@ fn maps_without_light_or_with_too_much() {
     let words = ["below.hdr", "the map gives no light from above"];
     folder.refused(&[&fit[..], &["--upper-hemisphere"]].concat(), &words);
     folder.refused_run(&["below.hdr: texel (0, 2) has radiance"]);
-    let said = folder.lobelia(&fit).succeeded();
-    assert!(!said.stdout.contains("NaN") && !said.stdout.contains("inf"), "{}", said.stdout);
+    let said = folder.lobelia(&fit).succeeded().stdout;
+    assert!(!said.contains("NaN") && !said.contains("inf"), "{said}");
 }
 
 #[test]

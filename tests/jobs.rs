@@ -35,6 +35,16 @@ fn has_run(data: &Data, jug: bool, vase: bool) {
     assert_eq!(there, [jug, vase]);
 }
 
+/// Runs a script of the examples with the folders of objects and of results; expects that it runs one object, or both.
+#[track_caller]
+fn runs(program: &str, arguments: &[&str], script: &str, variable: Option<(&str, &str)>, both: bool) {
+    let data = objects();
+    let mut command = engine(&data, program);
+    command.args(arguments).arg(example(script)).args(["photos", "out"]).envs(variable);
+    Outcome::of(&mut command).succeeded();
+    has_run(&data, both, true);
+}
+
 #[test]
 fn make_runs_all_objects_and_goes_on_after_a_kill() {
     if !is_installed("make") {
@@ -76,39 +86,23 @@ fn a_pod_of_the_indexed_job_runs_its_object() {
 #[test]
 fn ray_tasks_run_all_objects() {
     let ray = Command::new("python3").args(["-c", "import ray"]).output();
-    if !ray.is_ok_and(|ray| ray.status.success()) {
+    if ray.is_ok_and(|ray| ray.status.success()) {
+        runs("python3", &["-B"], "ray_objects.py", None, true);
+    } else {
         skipped("Ray is not installed");
-        return;
     }
-    let data = objects();
-    let mut python = engine(&data, "python3");
-    Outcome::of(python.arg("-B").arg(example("ray_objects.py")).args(["photos", "out"])).succeeded();
-    has_run(&data, true, true);
 }
 
 #[cfg(unix)]
 #[test]
-fn a_task_of_an_array_runs_its_object() {
-    if !is_installed("bash") {
-        return;
+fn a_slurm_array_runs_all_objects_and_a_task_its_own() {
+    if is_installed("bash") {
+        runs("bash", &[], "slurm.sh", Some(("SLURM_ARRAY_TASK_ID", "2")), false);
     }
-    let data = objects();
-    let mut task = engine(&data, "bash");
-    task.arg(example("slurm.sh")).args(["photos", "out"]).env("SLURM_ARRAY_TASK_ID", "2");
-    Outcome::of(&mut task).succeeded();
-    has_run(&data, false, true);
-}
-
-#[test]
-fn a_slurm_array_runs_all_objects() {
-    if !is_installed("sbatch") {
-        return;
+    if is_installed("sbatch") {
+        let array = ["--wait", "--array=1-2", "--mem=300M", "--cpus-per-task=1", "--time=5"];
+        runs("sbatch", &array, "slurm.sh", None, true);
     }
-    let data = objects();
-    let mut array = engine(&data, "sbatch");
-    array.args(["--wait", "--array=1-2", "--mem=300M", "--cpus-per-task=1", "--time=5"]);
-    Outcome::of(array.arg(example("slurm.sh")).args(["photos", "out"])).succeeded();
-    has_run(&data, true, true);
 }
 
 #[test]
@@ -136,12 +130,11 @@ fn every_line_is_an_event_and_the_last_says_how_it_ended() {
     let passes: Vec<&str> = of("pass").iter().map(|pass| pass["name"].as_str().unwrap()).collect();
     assert_eq!(passes, ["fit", "novel", "saved"]);
     assert!(of("pass").iter().all(|pass| pass["count"] == 3));
-    assert!(
-        of("stage").iter().any(|stage| stage["title"] == "photographs" && stage["length"].as_u64() > Some(0))
-    );
+    let stages = of("stage");
+    assert!(stages.iter().any(|of| of["title"] == "photographs" && of["length"].as_u64() > Some(0)));
     assert!(of("progress").iter().any(|at| at["title"] == "fit" && at["message"] == "first guess"));
     assert!(of("progress").iter().all(|at| at["length"] == 0 || at["message"] != "first guess"));
-    assert_eq!(of("stage").len(), of("done").len(), "every task that begins ends");
+    assert_eq!(stages.len(), of("done").len(), "every task that begins ends");
     assert!(of("done").iter().any(|task| task["title"] == "fit" && task["done"] == 10));
     assert!(of("result").iter().any(|line| line["text"].as_str().unwrap().contains("10 steps")));
     let steps = of("step");
