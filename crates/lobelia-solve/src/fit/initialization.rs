@@ -632,10 +632,9 @@ mod tests {
     #[test]
     fn amplitudes_are_found_again_and_none_is_negative() {
         for lobes in [11, 37] {
-            let response =
-                |pixel: usize, lobe: usize| 0.5 + 0.5 * (0.731 * (pixel * (lobe + 1)) as f32).sin();
-            let truth: Vec<f32> =
-                (0..lobes).map(|i| if i % 3 == 0 { 0.0 } else { 0.3 + 0.1 * i as f32 }).collect();
+            let response = |pixel, lobe| 0.5 + 0.5 * (0.731 * (pixel * (lobe + 1)) as f32).sin();
+            let amplitude = |i| if i % 3 == 0 { 0.0 } else { 0.3 + 0.1 * i as f32 };
+            let truth: Vec<f32> = (0..lobes).map(amplitude).collect();
             let (matrix, right) = normal_equations(&rows(&truth, response), 1, lobes);
             for (i, j) in [(0, 0), (3, 8), (10, 2), (lobes - 1, 1), (1, lobes - 1)] {
                 let sum: f64 = (0..200).map(|p| f64::from(response(p, i) * response(p, j))).sum();
@@ -659,19 +658,15 @@ mod tests {
     #[test]
     fn clipped_samples_do_not_darken_an_albedo() {
         // One texel of albedo 0.6 under lights from 0.5 to 2.5: the photograph ends at 1.
-        let lights: Vec<f32> = (0..9).map(|i| 0.5 + 0.25 * i as f32).collect();
-        let unit: Vec<Layers> =
-            lights.iter().map(|light| Layers { diffuse: [*light; 3], specular: [0.0; 3] }).collect();
-        let point = SurfacePoint {
-            texels: TexelAddress { weights: [1.0, 0.0, 0.0, 0.0], ..TexelAddress::default() },
-            ..SurfacePoint::default()
-        };
-        let seen = |light: &f32| {
+        let lights: [f32; 9] = std::array::from_fn(|i| 0.5 + 0.25 * i as f32);
+        let unit = lights.map(|light| Layers { diffuse: [light; 3], specular: [0.0; 3] });
+        let texels = TexelAddress { weights: [1.0, 0.0, 0.0, 0.0], ..TexelAddress::default() };
+        let point = SurfacePoint { texels, ..SurfacePoint::default() };
+        let observations = lights.map(|light| {
             let radiance = Vec3::splat((0.6 * light).min(1.0));
             let observed = Observed { radiance, saturated: 0.6 * light >= 1.0 };
             Observation { observed, point, ..Observation::default() }
-        };
-        let observations: Vec<Observation> = lights.iter().map(seen).collect();
+        });
         let mut albedo = vec![Vec3::splat(0.4)];
         let mut found = Vec::new();
         for _ in 0..30 {

@@ -396,22 +396,16 @@ mod tests {
 
         /// The loss of which [`ADJOINT`] is the derivative.
         fn loss(&self) -> f64 {
-            let of_point = |l: &Layers| -> f32 {
-                (0..3).map(|c| ADJOINT[c] * (l.diffuse[c] + l.specular[c])).sum::<f32>()
-            };
+            let of_point =
+                |l: &Layers| (0..3).map(|c| ADJOINT[c] * (l.diffuse[c] + l.specular[c])).sum::<f32>();
             self.radiance().iter().map(|layers| f64::from(of_point(layers))).sum()
         }
 
         /// The gradient of the loss: with respect to what points share, and to the blends of each.
         fn pull_back(&self) -> (StepGradient, Vec<PerMaterial>) {
-            let (shaded, adjoint) = (self.radiance(), vec![RadianceAdjoint(ADJOINT); self.points.len()]);
-            let samples = BlendedSamples {
-                points: &self.points,
-                blends: &self.blends,
-                seen: &self.seen,
-                shaded: &shaded,
-                adjoint: &adjoint,
-            };
+            let Self { points, blends, seen, .. } = self;
+            let (shaded, adjoint) = (&self.radiance(), &vec![RadianceAdjoint(ADJOINT); points.len()]);
+            let samples = BlendedSamples { points, blends, seen, shaded, adjoint };
             let numbered = [(0, self.materials[0]), (1, self.materials[1])];
             let mut back = vec![PointAdjoint::default(); self.points.len()];
             let (mut gradient, mut to_blends) = (StepGradient::default(), Vec::new());
