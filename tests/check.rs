@@ -44,6 +44,11 @@ fn out_gets_the_survey_as_json() {
     let survey = data.json("look/survey.json");
     assert_eq!((survey["views"].as_array().unwrap().len(), &survey["layout"]), (8, &Value::from("PhySg")));
     check(&data, &["--out", "look"]).refused(&["--out has nothing to show"]);
+    // An output that cannot be written is refused before photographs are read.
+    data.write("afile", "");
+    let outcome = check(&data, &["--data", ".", "--out", "afile"]);
+    outcome.refused(&["afile is a file"]);
+    assert_eq!(outcome.stdout, "");
 }
 
 #[test]
@@ -97,15 +102,6 @@ fn check_refuses_what_a_run_refuses_before_its_first_pass() {
         assert!(looked.stdout.contains("scene.ron: 1 error"), "{}", looked.stdout);
         assert_eq!((looked.code, looked.stderr), (run.code, run.stderr));
     }
-}
-
-#[test]
-fn an_output_that_cannot_be_written_is_refused_before_photographs_are_read() {
-    let data = Data::new();
-    data.write("afile", "");
-    let outcome = check(&data, &["--data", ".", "--out", "afile"]);
-    outcome.refused(&["afile is a file"]);
-    assert_eq!(outcome.stdout, "");
 }
 
 /// Scenes that are tried.

@@ -93,14 +93,6 @@ fn a_tenth_of_the_triangles_looks_nearly_the_same() {
 }
 
 #[test]
-fn a_mesh_without_its_material_is_refused() {
-    let data = studio();
-    let surface = r#"Mesh(path: "mesh.glb", texture_size: 64, own_material: true)"#;
-    data.run(&scene(surface, "", ""), "out", &[]).refused(&["same material"]);
-    data.run(&scene(surface, PAINTED, ""), "out", &[]).refused(&["own material is taken"]);
-}
-
-#[test]
 fn an_object_set_upright_is_lit_as_before() {
     let data = studio();
     let upward = |text: &str| text.replace("version: 1,", "version: 1, up: (0, 0, 1),");
@@ -201,8 +193,11 @@ fn what_a_pass_shows_is_saved_and_opens_again_with_the_same_bits() {
 }
 
 #[test]
-fn a_pass_that_shows_nothing_else_is_refused() {
-    let data = Data::new();
+fn a_mesh_without_its_material_and_a_pass_that_shows_nothing_else_are_refused() {
+    let data = studio();
+    let surface = r#"Mesh(path: "mesh.glb", texture_size: 64, own_material: true)"#;
+    data.run(&scene(surface, "", ""), "out", &[]).refused(&["same material"]);
+    data.run(&scene(surface, PAINTED, ""), "out", &[]).refused(&["own material is taken"]);
     for (of, near) in [("novel", "painted, noon"), ("painter", "painted")] {
         let passes = SHOWN.replacen(r#"of: "noon""#, &format!("of: {of:?}"), 1);
         data.run(&known_scene(&passes), "out", &[]).refused(&[of, near]);

@@ -1,6 +1,6 @@
 //! Steps of a fit that are not finite: traced, taken back, and without any trace in what is found.
 
-use crate::common::{RADIUS, camera, day, photograph, studio};
+use crate::common::{RADIUS, day, photographs_of, studio};
 use lobelia::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns};
 use lobelia::fit::components::{
     AlbedoGradient, AlbedoMoments, LobeMoments, SpecularMoments, StepRates, Unknowns,
@@ -74,8 +74,7 @@ fn poisoned_fit(
     let mut truth = studio(&day());
     let mut pipeline = studio(&LightLobe::even(16));
     pipeline.add_plugin(&FitPlugin);
-    let view = photograph(&mut truth, camera([0.1, 0.2, 1.0], 24), |_| ());
-    spawn_views(&mut pipeline.world, vec![view]);
+    spawn_views(&mut pipeline.world, photographs_of(&mut truth, 1, 24, |_, _| ()));
     prepare(&mut pipeline);
     pipeline.world.insert_resource(poison);
     let radiance = |place| poison_radiance.run_if(is_due(place));

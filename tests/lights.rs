@@ -2,7 +2,9 @@
 //! light stands still, turns of the object between rounds of photographs, lights of several rooms;
 //! and maps of the user's own that help it.
 
-use crate::common::{Data, RADIUS, SIZE, TRAIN, camera, changed, day, scene, shoot, studio, write_image};
+use crate::common::{
+    Data, NOVEL, RADIUS, SCORES, SIZE, TRAIN, camera, changed, day, scene, shoot, studio, write_image,
+};
 use glam::{EulerRot, Quat, Vec3};
 use lobelia::codec::exr_frame::read_frame;
 use lobelia::codec::gltf::export::write_glb;
@@ -46,6 +48,13 @@ pub fn lamp(truth: &str, assumed: &str, words: &[(&str, &str)]) -> String {
     text.replace("TRUTH", truth).replace("ASSUMED", assumed)
 }
 
+/// Runs it into `out`, in place of what was there.
+fn fit(data: &Data, scene: &str) {
+    data.run(scene, "out", &["--quiet", "--force"]).succeeded();
+}
+
+const FIT: &str = r#"Fit(name: "fit", steps: 60, batch: 512), "#;
+
 fn numbers(list: &Value) -> [f64; 3] {
     [0, 1, 2].map(|c| list[c].as_f64().unwrap())
 }
@@ -71,8 +80,7 @@ fn rules_hold_what_they_say_and_highlights_find_the_color() {
     // Mean light and mean albedo that a fit ends with.
     let means = |scale: &str, steps: &str| {
         let words = [&REDDISH[..], &[("test: 3", "test: 1"), ("steps: 250", steps)]].concat();
-        let text = lamp("", &format!("scale: {scale},"), &words);
-        data.run(&text, "out", &["--quiet", "--force"]).succeeded();
+        fit(&data, &lamp("", &format!("scale: {scale},"), &words));
         assert!(data.text("out/fit/materials.ron").contains("Scale "));
         let metrics = data.metrics("out");
         ["mean_light", "mean_albedo"].map(|name| numbers(&metrics["scale"][name]))
@@ -94,8 +102,7 @@ fn rules_hold_what_they_say_and_highlights_find_the_color() {
 fn the_frame_of_the_light_is_found_and_saved() {
     let data = Data::bare();
     for frame in ["World", "Camera", "Turntable(0, 1, 0)"] {
-        data.run(&lamp(&format!("light_frame: {frame},"), "", &[]), "out", &["--quiet", "--force"])
-            .succeeded();
+        fit(&data, &lamp(&format!("light_frame: {frame},"), "", &[]));
         let kind = frame.split('(').next().unwrap();
         let found = data.metrics("out")["light_frame"].as_str().unwrap().to_owned();
         assert!(found.starts_with(kind), "{frame}: {found}");
@@ -112,7 +119,7 @@ fn the_specular_lobe_starts_as_the_surface_looks() {
     // Specular albedo and roughness after one step.
     let start = |lobe: &str| {
         let words = [("albedo: (0.3, 0.3, 0.3), roughness: 0.3", lobe), ("steps: 250", "steps: 1")];
-        data.run(&lamp("", "", &words), "out", &["--quiet", "--force"]).succeeded();
+        fit(&data, &lamp("", "", &words));
         let found = data.text("out/fit/materials.ron");
         ["(albedo: (", "roughness: "].map(|word| -> f64 {
             let (_, after) = found.split_once(word).unwrap();
@@ -166,9 +173,10 @@ const OTHER_LIGHT: &str = r#"
 #[test]
 fn photographs_of_two_rooms_have_two_lights_and_one_albedo() {
     let data = Data::bare();
-    let scene =
-        two_rounds(OTHER_LIGHT).replace("truth: Photographs)]", "truth: Photographs)], albedo: SelfMade");
-    data.run(&scene, "out", &["--quiet"]).succeeded();
+    fit(
+        &data,
+        &changed(&two_rounds(OTHER_LIGHT), "truth: Photographs)]", "truth: Photographs)], albedo: SelfMade"),
+    );
     // Radiance toward both lamps.
     let [own, other] = ["light.npy", "light_2.npy"].map(|file| {
         let lobes = read_lobes(data.path("out/fit").join(file), NpyConvention::Lobelia).unwrap();
@@ -184,18 +192,22 @@ fn photographs_of_two_rooms_have_two_lights_and_one_albedo() {
     assert!(data.text("out/report.html").contains("recovered light 2"));
 }
 
+/// A scene with these words about its photographs.
+fn with_views(passes: &str, words: &str) -> String {
+    scene(passes).replace(r#"Dataset(path: "$DATA")"#, &format!(r#"Dataset(path: "$DATA", {words})"#))
+}
+
 /// The scene of a data set whose first photograph of each split is of one placement, and the others of another.
 fn with_placements(second: &str, last: &str) -> String {
     let placements = format!(r#"placements: [(photographs: "rgb_000000"), (photographs: "rgb_", {second})]"#);
-    scene(&format!(r#"Fit(name: "fit", steps: 60, batch: 512), Render(name: "novel"), {last}"#))
-        .replace(r#"Dataset(path: "$DATA")"#, &format!(r#"Dataset(path: "$DATA", {placements})"#))
+    with_views(&[FIT, NOVEL, last].concat(), &placements)
 }
 
 #[test]
 fn a_saved_scene_shows_each_placement_and_each_light_as_it_was_found() {
     let data = Data::new();
     for second in ["turned_degrees: None", "turned_degrees: (0, 40, 0)", "light: Own"] {
-        data.run(&with_placements(second, "Save()"), "out", &["--quiet", "--force"]).succeeded();
+        fit(&data, &with_placements(second, "Save()"));
         let saved = data.text("out/saved/scene.ron");
         if second == "light: Own" {
             assert!(saved.contains("light_2.npy"), "{saved}");
@@ -221,9 +233,7 @@ fn what_is_said_of_a_placement_holds() {
     let data = Data::new();
     // The photographs are of one placement.
     let [right, wrong] = ["(0, 0, 0)", "(0, 90, 0)"].map(|turned| {
-        let scored = r#"Evaluate(scores: [(pass: "novel", truth: Photographs)])"#;
-        let scene = with_placements(&format!("turned_degrees: {turned}"), scored);
-        data.run(&scene, "out", &["--quiet", "--force"]).succeeded();
+        fit(&data, &with_placements(&format!("turned_degrees: {turned}"), SCORES));
         assert!(data.metrics("out")["placements"].is_null());
         data.novel("out")
     });
@@ -276,8 +286,6 @@ fn words_about_lights_and_placements_that_cannot_be_are_refused() {
 
 // Prior maps of the user's own.
 
-const FIT: &str = r#"Fit(name: "fit", steps: 60, batch: 512)"#;
-
 /// Maps of the training photographs: their albedo at `level` of the truth, and their normals in the camera's axes.
 fn write_maps(data: &Data, level: f32) {
     let mut studio = studio(&day());
@@ -287,27 +295,22 @@ fn write_maps(data: &Data, level: f32) {
         let albedo: Vec<Vec3> = frame.albedo.iter().map(|albedo| *albedo * level).collect();
         write_image(&data.path(format!("albedo/rgb_{i:06}.exr")), &albedo, frame.width);
         let camera_from_world = camera.world_from_camera.matrix3.transpose();
-        let turn =
-            |normal: &Vec3| ((camera_from_world * *normal) * Vec3::new(1.0, -1.0, -1.0)).normalize_or_zero();
+        let axes = Vec3::new(1.0, -1.0, -1.0);
+        let turn = |normal: &Vec3| (axes * (camera_from_world * *normal)).normalize_or_zero();
         let normals: Vec<Vec3> = frame.normal.iter().map(turn).collect();
         write_image(&data.path(format!("normals/rgb_{i:06}.exr")), &normals, frame.width);
     }
-}
-
-/// The scene with these priors.
-fn with_priors(scene: &str, priors: &str) -> String {
-    scene.replace(r#"Dataset(path: "$DATA")"#, &format!(r#"Dataset(path: "$DATA", priors: ({priors}))"#))
 }
 
 #[test]
 fn a_fit_has_the_mean_color_of_the_albedo_maps_whatever_their_level() {
     let data = Data::new();
     // A fit that goes on keeps to the maps.
-    let again = format!("{FIT}, {}", FIT.replace("\"fit\"", "\"again\""));
+    let again = [FIT, &FIT.replace("\"fit\"", "\"again\"")].concat();
+    let priors = r#"priors: (albedo: (folder: "$DATA/albedo"))"#;
     for (level, passes) in [(0.3, FIT), (1.0, &again)] {
         write_maps(&data, level);
-        let scene = with_priors(&scene(passes), r#"albedo: (folder: "$DATA/albedo")"#);
-        data.run(&scene, "out", &["--quiet", "--force"]).succeeded();
+        fit(&data, &with_views(passes, priors));
         let scale = &data.metrics("out")["scale"];
         assert!(scale["rule"].as_str().unwrap().starts_with("MeanAlbedo("), "{scale}");
         // Half the sphere is (0.6, 0.3, 0.2), half (0.2, 0.35, 0.5): the mean is (0.4, 0.325, 0.35).
@@ -320,9 +323,8 @@ fn a_fit_has_the_mean_color_of_the_albedo_maps_whatever_their_level() {
     }
     assert!(data.text("out/run.json").contains("albedo/rgb_000003.exr"), "maps are inputs");
     // A rule that the scene says goes before the maps.
-    let scene = with_priors(&scene(FIT), r#"albedo: (folder: "$DATA/albedo")"#);
-    data.run(&scene.replace("light:", "scale: WhiteLight, light:"), "white", &["--quiet"]).succeeded();
-    assert_eq!(data.metrics("white")["scale"]["rule"], "WhiteLight");
+    fit(&data, &with_views(FIT, priors).replace("light:", "scale: WhiteLight, light:"));
+    assert_eq!(data.metrics("out")["scale"]["rule"], "WhiteLight");
 }
 
 #[test]
@@ -333,16 +335,16 @@ fn normals_smooth_a_mesh_whose_bumps_photographs_hardly_show() {
     mesh.positions.iter_mut().for_each(|at| *at *= bump(at));
     mesh.normals = mesh.smooth_normals();
     write_glb(&data.path("mesh.glb"), &mesh, None).unwrap();
-    let missing = with_priors(&scene(FIT), r#"normals: (folder: "$DATA/normals")"#);
-    data.run(&missing, "none", &["--quiet"]).refused(&["normals: there is no such folder"]);
-    write_maps(&data, 1.0);
-    let wrong = with_priors(&scene(FIT), r#"normals: (folder: "$DATA/normals", axes: World, weight: -1)"#);
-    data.run(&wrong, "none", &["--quiet"]).refused(&["weight"]);
     let passes = r#"Fit(name: "fit", steps: 150, batch: 512, vertices: true), Render(name: "novel"),
         Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)], normal: Folder("$DATA/test/gt"))"#;
+    let with = |words: &str| {
+        with_views(passes, &format!(r#"priors: (normals: (folder: "$DATA/normals", {words}))"#))
+    };
+    data.run(&with(""), "none", &["--quiet"]).refused(&["normals: there is no such folder"]);
+    write_maps(&data, 1.0);
+    data.run(&with("axes: World, weight: -1"), "none", &["--quiet"]).refused(&["weight"]);
     let [free, held] = ["0", "1"].map(|weight| {
-        let normals = format!(r#"normals: (folder: "$DATA/normals", weight: {weight})"#);
-        data.run(&with_priors(&scene(passes), &normals), "out", &["--quiet", "--force"]).succeeded();
+        fit(&data, &with(&format!("weight: {weight}")));
         data.metrics("out")["normal_deg"].as_f64().unwrap()
     });
     assert!(held < 0.8 * free, "{free} {held}");

@@ -121,16 +121,12 @@ fn in_two_rounds(passes: &str, said: &str) -> String {
 }
 
 #[test]
-fn an_object_that_was_turned_over_goes_on() {
+fn an_object_that_was_turned_over_goes_on_and_one_under_two_lights() {
     let data = two_balls();
     let passes = r#"Fit(name: "fit", steps: 160, batch: 64), Render(name: "novel"), Save(), Export(),"#;
     let text = in_two_rounds(passes, "");
     // Between two moves of the rotation, after more, and during the pictures.
     survives(&data, &text, &[("fit", 40), ("fit", 110), ("novel", 1)]);
-}
-
-#[test]
-fn an_object_under_two_lights_goes_on() {
     let data = two_balls();
     let passes =
         r#"Fit(name: "fit", steps: 80, batch: 64, detail: true), Render(name: "novel"), Save(), Export(),"#;

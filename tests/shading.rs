@@ -188,15 +188,11 @@ fn agree(mode: &str, known: &str, tolerance: impl Fn(f64, f64) -> f64) {
 }
 
 #[test]
-fn closed_forms_agree_with_known_values() {
+fn closed_forms_and_the_path_tracer_agree_with_known_values() {
     agree("published", "approx", |known, _| 1e-3 * known + 1e-6);
     agree("accurate", "exact", |known, _| 5e-2 * known + 1e-4);
     agree("accurate-high", "exact", |known, _| 5e-2 * known + 1e-4);
-}
-
-/// Values that are too small for single precision are zero. The known integrals are good to 1 % or so.
-#[test]
-fn the_path_tracer_agrees_with_known_integrals() {
+    // Values that are too small for single precision are zero. The known integrals are good to 1 % or so.
     agree("path-traced", "exact", |known, error| 4.0 * error + 0.02 * known + 1e-8);
 }
 

@@ -102,18 +102,16 @@ pub fn photographs_of(
     size: u32,
     change: impl Fn(usize, &mut Frame),
 ) -> Vec<ViewRecord> {
-    let cameras = Camera::around(count, DISTANCE, 38.0, size).unwrap().into_iter().enumerate();
-    cameras.map(|(number, camera)| photograph(truth, camera, |frame| change(number, frame))).collect()
-}
-
-/// A training photograph of what `truth` shows, whose frame `change` gets.
-pub fn photograph(truth: &mut Pipeline, camera: Camera, change: impl Fn(&mut Frame)) -> ViewRecord {
-    let mut frame = shoot(truth, camera);
-    change(&mut frame);
-    let (width, height) = (camera.width, camera.height);
-    let photograph = Some(Photograph::of_image(&Image { width, height, pixels: frame.color }));
-    let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
-    ViewRecord { photograph, mask, ..ViewRecord::of_camera("front".into(), Split::Train, camera) }
+    let cameras = Camera::around(count, DISTANCE, 38.0, size).unwrap();
+    let photograph = |(number, camera): (usize, Camera)| {
+        let mut frame = shoot(truth, camera);
+        change(number, &mut frame);
+        let (width, height) = (size, size);
+        let photograph = Some(Photograph::of_image(&Image { width, height, pixels: frame.color }));
+        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
+        ViewRecord { photograph, mask, ..ViewRecord::of_camera("front".into(), Split::Train, camera) }
+    };
+    cameras.into_iter().enumerate().map(photograph).collect()
 }
 
 /// Where the training cameras are.
