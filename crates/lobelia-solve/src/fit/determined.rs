@@ -615,38 +615,36 @@ mod tests {
         // No lobe; ten thousand measurements of the first parameter with noise of variance 0.04, each a cluster; the second is given.
         let measured = 10_000;
         let noise = |i: usize| if i.is_multiple_of(2) { 0.2 } else { -0.2 };
-        let evidence = Evidence {
+        let evidence = |curvature: [f64; 4], gradients| Evidence {
             parameters: 2,
-            curvature: vec![measured as f64, 5.0, 5.0, 9.0],
-            gradients: (0..measured).map(|i| vec![noise(i), 3.0]).collect(),
+            curvature: curvature.to_vec(),
+            gradients,
             variance: 0.04,
         };
-        let posterior = evidence.posterior([false, true, false]).unwrap();
+        let curvature = [measured as f64, 5.0, 5.0, 9.0];
+        let each = (0..measured).map(|i| vec![noise(i), 3.0]).collect();
+        let posterior = evidence(curvature, each).posterior([false, true, false]).unwrap();
         let known = posterior.deviation(&[1.0, 0.0]);
         assert!((known / 0.002 - 1.0).abs() < 1e-3 && posterior.deviation(&[0.0, 1.0]) == 0.0, "{known}");
         // The same noise in a hundred clusters that are alike within.
         let gradients = (0..100).map(|i| vec![100.0 * noise(i), 0.0]).collect();
-        let alike = Evidence { gradients, ..evidence }.posterior([false, true, false]).unwrap();
+        let alike = evidence(curvature, gradients).posterior([false, true, false]).unwrap();
         assert!((alike.deviation(&[1.0, 0.0]) / 0.0201 - 1.0).abs() < 1e-2);
-        let nan = |clusters| Evidence {
-            parameters: 2,
-            curvature: vec![f64::NAN; 4],
-            gradients: vec![vec![0.0; 2]; clusters],
-            variance: 1.0,
-        };
-        assert!(nan(100).posterior([true; 3]).is_none() && nan(3).posterior([true; 3]).is_none());
+        for clusters in [100, 3] {
+            let nan = evidence([f64::NAN; 4], vec![vec![0.0; 2]; clusters]);
+            assert!(nan.posterior([true; 3]).is_none());
+        }
     }
 
     #[test]
     fn of_a_light_that_nothing_shows_nothing_is_known_however_many_lobes_it_has() {
         for lobes in [1, 100] {
             let n = 3 * lobes + 2;
-            let evidence = |curvature: f64| Evidence {
-                parameters: n,
-                // The power of each lobe is measured, or not.
-                curvature: (0..n * n).map(|at| if at / n == at % n { curvature } else { 0.0 }).collect(),
-                gradients: vec![vec![0.0; n]; 30],
-                variance: 1.0,
+            // The power of each lobe is measured, or not.
+            let posterior = |measured: f64| {
+                let curvature = (0..n * n).map(|at| if at / n == at % n { measured } else { 0.0 }).collect();
+                let gradients = vec![vec![0.0; n]; 30];
+                Evidence { parameters: n, curvature, gradients, variance: 1.0 }.posterior([true; 3]).unwrap()
             };
             let share = 1.0 / lobes as f64;
             // A share of each channel of all lobes, then nothing of the two that all samples share.
@@ -655,11 +653,11 @@ mod tests {
                 of_lobes.chain([0.0; 2]).collect()
             };
             let (brightness, red) = (direction([1.0; 3]), direction([2.0, -1.0, -1.0]));
-            let unknown = evidence(0.0).posterior([true; 3]).unwrap();
+            let unknown = posterior(0.0);
             let found = [&brightness, &red].map(|direction| unknown.deviation(direction));
             assert!(found[0] >= 1.0 && found[1] > 0.8, "{found:?}");
             assert!(unknown.effective_of_light().abs() < 1e-9);
-            let known = evidence(1e6).posterior([true; 3]).unwrap();
+            let known = posterior(1e6);
             assert!(known.deviation(&brightness) < 1e-3 && known.effective_of_light() > 2.9 * lobes as f64);
         }
     }

@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn a_channel_without_signal_has_the_brightness() {
+    fn a_channel_without_signal_or_that_is_clipped_has_the_brightness() {
         let differs = |view: usize| Vec3::splat(if view.is_multiple_of(3) { 1.3 } else { 1.0 });
         let mut blueless = after([0.4, 0.2, 0.0], differs);
         blueless.decide();
@@ -344,10 +344,7 @@ mod tests {
         let mut dark = after([0.4, 0.2, 0.004], noise);
         dark.decide();
         assert_eq!(dark.used, ExposureChoice::Equal);
-    }
-
-    #[test]
-    fn a_photograph_with_a_clipped_channel_tells_its_brightness() {
+        // A photograph with a clipped channel tells its brightness.
         let mut over = after([0.6, 0.3, 0.2], |view| Vec3::splat(if view < 4 { 2.0 } else { 1.0 }));
         over.decide();
         assert_eq!(over.used, ExposureChoice::Brightness);

@@ -258,8 +258,7 @@ mod tests {
             AdamStep::new(1.0, 1).advance(&mut moments, &[gradient; 7]);
             LobeMoments(moments)
         };
-        world
-            .spawn_batch(LightLobe::even(4).into_iter().map(|lobe| (lobe, moments(1.0))).collect::<Vec<_>>());
+        LightLobe::even(4).into_iter().for_each(|lobe| _ = world.spawn((lobe, moments(1.0))));
         let other = LightLobe::even(3);
         spawn_group_lights(&mut world, &[(other.clone(), None)]);
         let of_group: Vec<Entity> = world.query_filtered::<Entity, With<LobeOf>>().iter(&world).collect();
@@ -268,9 +267,8 @@ mod tests {
         exchange_light(&mut world, LightGroup(1));
         assert_eq!(own_lobes(&mut world)[..3], other);
         assert_eq!(lobes_of_group(&mut world, LightGroup(1)), before);
-        let own = |world: &mut World| {
-            let mut own = world.query_filtered::<&LobeMoments, Without<LobeOf>>();
-            own.iter(world).copied().collect::<Vec<_>>()
+        let own = |world: &mut World| -> Vec<LobeMoments> {
+            world.query_filtered::<&LobeMoments, Without<LobeOf>>().iter(world).copied().collect()
         };
         assert_eq!(own(&mut world), [moments(2.0); 4]);
         exchange_light(&mut world, LightGroup(1));

@@ -622,8 +622,8 @@ mod tests {
             let shown = |point: usize| truth.iter().enumerate().map(|(i, x)| response(point, i) * x).sum();
             let targets: Vec<f32> = points.map(shown).collect();
             Rows {
-                responses: std::array::from_fn(|_| responses.clone()),
-                targets: std::array::from_fn(|_| targets.clone()),
+                responses: [(); 3].map(|()| responses.clone()),
+                targets: [(); 3].map(|()| targets.clone()),
             }
         };
         vec![chunk(0..130), chunk(130..200)]
