@@ -260,8 +260,7 @@ fn command_line_reference_is_complete() {
         let heading = format!("## `lobelia {command}`\n");
         let section = text.split(&heading).nth(1).unwrap_or_else(|| panic!("no section {heading}"));
         // A row of the table of flags begins with the flag.
-        let rows =
-            section.split("\n## ").next().unwrap().lines().filter_map(|line| line.strip_prefix("| `--"));
+        let rows = section.split("\n## ").next().unwrap().lines().filter_map(|row| row.strip_prefix("| `--"));
         let named = rows.map(|row| format!("--{}", row.split([' ', '`']).next().unwrap())).collect();
         let known = flags(&help(&command.split(' ').collect::<Vec<_>>()).unwrap());
         assert_eq!(known, named, "flags of `lobelia {command}`: in the help, in docs/src/command-line.md");
@@ -323,8 +322,7 @@ fn lists_are_complete() {
         let page = Page { path: file.to_owned(), text: read(file) };
         let targets = page.targets();
         let below = if file == "README.md" { format!("{folder}/") } else { String::new() };
-        let listed: BTreeSet<&str> =
-            targets.iter().filter_map(|target| target.strip_prefix(&below)).collect();
+        let listed: BTreeSet<&str> = targets.iter().filter_map(|file| file.strip_prefix(&below)).collect();
         let entries = std::fs::read_dir(repository().join(folder)).unwrap();
         let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
         let there: BTreeSet<String> = names
@@ -361,8 +359,7 @@ fn licenses_of_all_dependencies_are_listed() {
     let locked: BTreeSet<&str> = packages.map(|package| package.split('"').nth(1).unwrap()).collect();
     let rows = page.lines().filter(|line| line.starts_with("| ") && line.contains('`'));
     let listed: BTreeSet<&str> = rows.flat_map(|row| row.split('`').skip(1).step_by(2)).collect();
-    let [missing, gone]: [Vec<&&str>; 2] =
-        [locked.difference(&listed).collect(), listed.difference(&locked).collect()];
+    let [missing, gone] = [locked.difference(&listed), listed.difference(&locked)].map(Vec::from_iter);
     assert!(missing.is_empty(), "docs/licenses.md lacks {missing:?}: `cargo metadata` says their licenses");
     assert!(gone.is_empty() && locked.len() > 100, "docs/licenses.md has {gone:?}, which Cargo.lock has not");
 }

@@ -114,8 +114,7 @@ fn light_lobes_are_despawned_spawned_and_sorted_between_pictures() {
     let mut pipeline = studio(&day());
     let whole = shoot(&mut pipeline, front());
     let world = &mut pipeline.world;
-    let lobes: Vec<(Entity, LightLobe)> =
-        world.query::<(Entity, &LightLobe)>().iter(world).map(|(e, lobe)| (e, *lobe)).collect();
+    let lobes: Vec<_> = world.query::<(Entity, &LightLobe)>().iter(world).map(|(e, l)| (e, *l)).collect();
     world.despawn(lobes[1].0);
     assert_eq!(shoot(&mut pipeline, front()), shoot(&mut studio(&[day()[0], day()[2]]), front()));
     // Back, at the end, and one with a marker: another order and another table.
@@ -299,8 +298,7 @@ fn a_fit_that_is_removed_leaves_what_it_found_and_nothing_else() {
         assert_eq!(fitted.steps, 3);
         pipeline.remove_plugin::<FitPlugin>();
         let after = names(&mut pipeline.world);
-        let left: BTreeSet<&str> =
-            after.difference(&before).filter_map(|name| name.rsplit("::").next()).collect();
+        let left: BTreeSet<_> = after.difference(&before).filter_map(|of| of.rsplit("::").next()).collect();
         // The list of what checkpoints keep, the frame that was found, and the empty shadows that frames use too.
         assert_eq!(left, BTreeSet::from(["Kept", "OwnLightFrame", "WindowVisibility"]));
     }
@@ -346,13 +344,12 @@ fn an_edit_of_a_region_shows_base_materials_that_go_with_it() {
     pipeline.swap(Phase::Frame, Slot::Material, show_edited("polish"));
     let polished = shoot(&mut pipeline, front());
     assert_ne!(polished.specular, plain.specular);
-    let shown =
-        |Pipeline { world, .. }: &mut Pipeline| world.query::<&Shown<SpecularLobe>>().iter(world).len();
-    assert_eq!(shown(&mut pipeline), 2);
+    let shown = |world: &mut World| world.query::<&Shown<SpecularLobe>>().iter(world).len();
+    assert_eq!(shown(&mut pipeline.world), 2);
     assert_eq!(shoot(&mut pipeline, front()), polished, "made once, not at every picture");
     pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
     assert_eq!(shoot(&mut pipeline, front()), plain);
-    assert_eq!(shown(&mut pipeline), 1);
+    assert_eq!(shown(&mut pipeline.world), 1);
 }
 
 #[test]

@@ -93,8 +93,7 @@ fn a_light_is_never_written_over_what_it_is_made_of() {
 fn several_counts_make_a_table_and_options_change_the_light() {
     let data = folder();
     let said = env(&data, "fit sky.exr --lobes 2,4,8 --quiet");
-    let errors: Vec<f64> =
-        said.lines().skip(1).map(|l| l.split_whitespace().nth(1).unwrap().parse().unwrap()).collect();
+    let errors: Vec<f64> = said.lines().filter_map(|l| l.split_whitespace().nth(1)?.parse().ok()).collect();
     assert!(errors.len() == 3 && errors[0] > errors[2], "{said}");
     env(&data, "fit sky.exr --lobes 8 --upper-hemisphere --white --out up.npy");
     for lobe in lobes_in(&data, "up.npy") {

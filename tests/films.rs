@@ -7,12 +7,11 @@ use lobelia::prelude::*;
 use lobelia::report::tone::{Backdrop, Picture, write_png_rows};
 use lobelia::shade::frame::{band_rows, frame_bytes, render_bands};
 
-/// The film; `{ORBIT}` is filled in.
-const FILM: &str =
-    r#"Render(name: "film", render: (views: Named([]), orbit: (frames: 4, size: 48, {ORBIT})))"#;
+/// The film; `{}` is filled in.
+const FILM: &str = r#"Render(name: "film", render: (views: Named([]), orbit: (frames: 4, size: 48, {})))"#;
 
 fn scene(orbit: &str) -> String {
-    GRAY_SPHERE.replace("{PASS}", FILM).replace("{ORBIT}", orbit)
+    GRAY_SPHERE.replace("{PASS}", FILM).replace("{}", orbit)
 }
 
 /// Runs the scene, where no other program can be found.

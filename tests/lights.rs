@@ -218,9 +218,8 @@ fn a_saved_scene_shows_each_placement_and_each_light_as_it_was_found() {
         assert_eq!(turned.iter().sum::<usize>(), 1, "{saved}");
         data.run_file("out/saved/scene.ron", "again", &["--quiet", "--force"]).succeeded();
         let apart = |view: usize| {
-            let [first, again] =
-                ["out", "again"].map(|out| read_frame(data.path(format!("{out}/novel/rgb_{view:06}.exr"))));
-            let (first, again) = (first.unwrap().color, again.unwrap().color);
+            let color = |out| read_frame(data.path(format!("{out}/novel/rgb_{view:06}.exr"))).unwrap().color;
+            let (first, again): (Vec<Vec3>, Vec<Vec3>) = (color("out"), color("again"));
             first.iter().zip(&again).map(|(a, b)| a.distance(*b)).fold(0.0, f32::max)
         };
         // Angles that are written in degrees are rounded.

@@ -164,8 +164,7 @@ fn a_run_has_a_report_with_everything() {
         has(&text, &[&format!("<section id=\"{part}\"")]);
     }
     has(&text, &["photograph of view", "fit: recovered light", "fit: true light", "fit: albedo"]);
-    let others =
-        ["s-finished", "PSNR of training pixels, dB", "data:image/jpeg;base64,", "<h3>polished</h3>"];
+    let others = ["s-finished", "PSNR of training pixels", "data:image/jpeg;base64,", "<h3>polished</h3>"];
     has(&text, &others);
     assert!(!text.contains("http:") && !text.contains("https:"), "it asks no server for anything");
     // The same page comes of the folder alone, also where it was moved.

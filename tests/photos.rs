@@ -100,8 +100,7 @@ fn a_shape_pass_can_be_watched() {
 /// Where cameras see the middle of the object, in pixels, by name.
 fn middles(cameras: &Value) -> Vec<(String, [f64; 2])> {
     let middle = |(name, camera): (&String, &Value)| {
-        let (k, w) =
-            (|i: usize| camera["K"][i].as_f64().unwrap(), |i: usize| camera["W2C"][i].as_f64().unwrap());
+        let [k, w] = ["K", "W2C"].map(|key| move |i: usize| camera[key][i].as_f64().unwrap());
         let stem = name.trim_end_matches(".exr").to_owned();
         (stem, [k(0) * w(3) / w(11) + k(2), k(5) * w(7) / w(11) + k(6)])
     };
@@ -145,8 +144,7 @@ fn moved_vertices_and_a_found_focal_length_are_saved() {
     let data = photographs();
     let levels = "Shape(levels: [(cells: 32, texel_cells: 16, steps: 100, hold: 10)], batch: 1024, cameras: PosesAndFocal), \
                   Fit(vertices: true, name";
-    let scene =
-        SCENE.replace("Fit(name", levels).replace("Export(name: \"export\")", "Save(name: \"saved\")");
+    let scene = SCENE.replace("Fit(name", levels).replace("Export(name: \"export\")", "Save()");
     data.run(&scene, "out", &["--quiet"]).succeeded();
     let saved = data.text("out/saved/scene.ron");
     assert!(saved.contains("focal_scale: 1.0") || saved.contains("focal_scale: 0.9"), "{saved}");

@@ -1,6 +1,6 @@
 //! Runs that are killed go on where they were, and end with the same bits as runs without a break.
 
-use crate::common::{self, AtStep, AtWork, Data, Outcome, changed, colmap_scene, files_below, join};
+use crate::common::{self, AtStep, AtWork, Data, ENDLESS, Outcome, changed, colmap_scene, files_below, join};
 use crate::photos::photographs;
 use glam::Vec3;
 use lobelia::pass::progress::{Progress, Silent};
@@ -85,6 +85,11 @@ fn two_balls() -> Data {
     data
 }
 
+/// A fit of which these words are said, a picture, and files of the object.
+fn fit_and_save(words: &str) -> String {
+    format!(r#"Fit(name: "fit", batch: 64, {words}), Render(name: "novel"), Save(), Export(),"#)
+}
+
 /// A scene of the data set with its mesh.
 fn scene(material: &str, passes: &str) -> String {
     common::scene(passes)
@@ -96,9 +101,7 @@ fn scene(material: &str, passes: &str) -> String {
 #[test]
 fn a_fit_goes_on_from_the_last_part_that_was_done() {
     let data = two_balls();
-    let passes =
-        r#"Fit(name: "fit", steps: 300, batch: 64, detail: true), Render(name: "novel"), Save(), Export(),"#;
-    let text = scene("", passes);
+    let text = scene("", &fit_and_save("steps: 300, detail: true"));
     // With one material, with several, with what was chosen, while the texture gets its detail, and during the pictures.
     let tried = ("fit, several base materials", 40);
     survives(&data, &text, &[("fit", 60), tried, ("fit", 160), ("fit", 85), ("novel", 1)]);
@@ -123,14 +126,11 @@ fn in_two_rounds(passes: &str, said: &str) -> String {
 #[test]
 fn an_object_that_was_turned_over_goes_on_and_one_under_two_lights() {
     let data = two_balls();
-    let passes = r#"Fit(name: "fit", steps: 160, batch: 64), Render(name: "novel"), Save(), Export(),"#;
-    let text = in_two_rounds(passes, "");
+    let text = in_two_rounds(&fit_and_save("steps: 160"), "");
     // Between two moves of the rotation, after more, and during the pictures.
     survives(&data, &text, &[("fit", 40), ("fit", 110), ("novel", 1)]);
     let data = two_balls();
-    let passes =
-        r#"Fit(name: "fit", steps: 80, batch: 64, detail: true), Render(name: "novel"), Save(), Export(),"#;
-    let text = in_two_rounds(passes, ", light: Own");
+    let text = in_two_rounds(&fit_and_save("steps: 80, detail: true"), ", light: Own");
     survives(&data, &text, &[("fit", 30), ("fit", 61), ("novel", 1)]);
 }
 
@@ -255,9 +255,7 @@ fn without_a_run_to_go_on_with_one_begins() {
 #[test]
 fn results_that_cannot_be_gone_on_with_stay() {
     let data = Data::new();
-    let endless =
-        r#"Fit(name: "fit", steps: 4), Fit(name: "endless", steps: 1500000000, batch: 64), Save(),"#;
-    let endless = scene("", endless);
+    let endless = scene("", &[r#"Fit(name: "fit", steps: 4), "#, ENDLESS, "Save(),"].concat());
     let at_work = AtWork::start(&data, &endless, &["--threads", "2"], "endless");
     at_work.until_a_step();
     at_work.signal("TERM");

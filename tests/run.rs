@@ -57,8 +57,7 @@ fn same_bytes(data: &Data, a: &str, b: &str) {
 /// The run of everything into `out` with two threads, and what it said. Its scene file stays as it is.
 pub static WHOLE: LazyLock<(Data, String)> = LazyLock::new(|| {
     let data = Data::shared("whole");
-    let scene =
-        scene(PASSES).replace("texture_size: 16", "texture_size: 32").replace("lobes: 6", "lobes: 12");
+    let scene = scene(PASSES).replace("size: 16", "size: 32").replace("lobes: 6", "lobes: 12");
     let said = data.run(&scene.replace("version: 1,", "version: 1, seed: 3,"), "out", &["--threads", "2"]);
     (data, said.succeeded().stdout)
 });

@@ -67,8 +67,7 @@ fn rows(data: &Data, table: &str) -> Vec<Vec<String>> {
 fn passes_are_scored_in_srgb_and_views_by_the_evaluation_that_scored_them() {
     let data = Data::new();
     // Training and test views have the same names, and nothing was fitted to the first.
-    let again =
-        r#"Evaluate(name: "again", scores: [(pass: "relit", truth: Folder("$DATA/test/gt/relit"))]),"#;
+    let again = r#"Evaluate(name: "again", scores: [(pass: "relit", truth: Folder("$DATA/test/gt/relit"))])"#;
     let table = data.run(&gray(again), "out", &[]).succeeded().stdout;
     let metrics = data.metrics("out");
     let passes = &metrics["passes"];
@@ -225,9 +224,8 @@ fn write_view(folder: &Path, from: [f32; 3]) {
         let code = |n: f32| (127.5 * (n + 1.0)).round() as u8;
         write_rgba(&folder.join("normal.png"), &frame, |at| frame.normal[at].to_array().map(code));
     }
-    let camera =
-        json!({"cam_transform_mat": pose.join(","), "cam_angle_x": angle(), "imw": SIZE, "imh": SIZE});
-    std::fs::write(folder.join("metadata.json"), camera.to_string()).unwrap();
+    let text = json!({"cam_transform_mat": pose.join(","), "cam_angle_x": angle(), "imw": SIZE, "imh": SIZE});
+    std::fs::write(folder.join("metadata.json"), text.to_string()).unwrap();
 }
 
 #[test]

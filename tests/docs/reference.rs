@@ -18,8 +18,7 @@ fn reference_is_what_the_types_say() {
     let files = SOURCES.iter().flat_map(|folder| files_with(folder, "rs"));
     // Functions that give defaults may stand in a file of their own.
     let files = files.filter(|(path, text)| text.contains("Deserialize") || path.contains("scene"));
-    let parsed =
-        files.map(|(path, text)| syn::parse_file(&text).unwrap_or_else(|e| panic!("{path}: {e}")).items);
+    let parsed = files.map(|(path, text)| syn::parse_file(&text).expect(&path).items);
     let library = Library(parsed.collect());
     let mut sections = Vec::new();
     collect(&library, PAGES[0].0, &mut sections);
@@ -79,8 +78,7 @@ fn parts(of: &Type) -> (String, Vec<&Type>) {
                 return (last(&of.path), Vec::new());
             };
             let types = inside.args.iter();
-            let types =
-                types.filter_map(|of| if let GenericArgument::Type(of) = of { Some(of) } else { None });
+            let types = types.filter_map(|x| if let GenericArgument::Type(of) = x { Some(of) } else { None });
             (last(&of.path), types.collect())
         }
         _ => (String::new(), Vec::new()),
@@ -116,7 +114,7 @@ struct Library(Vec<Vec<Item>>);
 impl Library {
     fn find(&self, wanted: &str) -> Option<Found<'_>> {
         let mut all =
-            self.0.iter().enumerate().flat_map(|(file, items)| items.iter().map(move |item| (file, item)));
+            self.0.iter().enumerate().flat_map(|(file, of)| of.iter().map(move |item| (file, item)));
         all.find_map(|(file, item)| {
             let (name, attributes, fields, variants) = match item {
                 Item::Struct(of) => (&of.ident, &of.attrs, Some(&of.fields), None),
@@ -300,8 +298,7 @@ fn collect<'a>(library: &'a Library, name: &str, sections: &mut Vec<(Found<'a>, 
     let begun = PAGES.iter().position(|(first, _)| *first == name);
     sections.push((found, begun.or(sections.last().map(|section| section.1)).unwrap_or(0)));
     let variants = found.variants().map(|(_, variant)| &variant.fields);
-    let mut used: Vec<&Type> =
-        found.fields.into_iter().chain(variants).flatten().map(|field| &field.ty).collect();
+    let mut used: Vec<&Type> = found.fields.into_iter().chain(variants).flatten().map(|of| &of.ty).collect();
     used.reverse();
     while let Some((name, inside)) = used.pop().map(parts) {
         collect(library, &name, sections);
