@@ -1,6 +1,6 @@
 //! Environment lights from end to end: `lobelia env`, and maps that light the side of a sphere they should.
 
-use crate::common::{Data, day, write_unchecked};
+use crate::common::{Data, GRAY_SPHERE, day, write_unchecked};
 use glam::Vec3;
 use lobelia::light::{EnvironmentMap, LightLobe, lobes_power, render_lobes};
 use lobelia::spawn::light::{LightConventions, LightFile, read_light};
@@ -142,11 +142,9 @@ fn write_map(data: &Data, name: &str, map: &EnvironmentMap) {
 fn bad_maps_are_refused_with_one_message() {
     let data = folder();
     let flat = |w: u32, h: u32, value: f32| EnvironmentMap::from_directions(w, h, |_| Vec3::splat(value));
-    for (name, map, word) in
-        [("square.exr", flat(16, 16, 1.0), "16 × 16"), ("black.exr", flat(16, 8, 0.0), "black")]
-    {
-        write_map(&data, name, &map);
-        refused(&data, &format!("fit {name} --out a.ron"), &[name, word, "help:"]);
+    for (map, word) in [(flat(16, 16, 1.0), "16 × 16"), (flat(16, 8, 0.0), "black")] {
+        write_map(&data, "bad.exr", &map);
+        refused(&data, "fit bad.exr --out a.ron", &["bad.exr", word, "help:"]);
     }
     refused(&data, "info none.exr", &["no such file"]);
     let mut repaired = flat(16, 8, 1.0);
@@ -191,21 +189,21 @@ fn one_bright_texel_lights_the_right_side_of_a_sphere() {
         }
     }
     // Seen from +Z with +X to the right.
-    let scene = format!(
-        r#"Scene(
-    version: 1,
-    surface: Sphere(radius: 0.9, texture_size: 8),
-    views: Cameras([(name: "front", eye: (0, 0, 6), fov_degrees: 20, width: 33, height: 33)]),
-    light: Fixed(Map(path: "spot0.exr", lobes: 4)),
-    material: (albedo: Fixed(Constant(0.8, 0.8, 0.8)), specular: (albedo: Fixed(0, 0, 0), roughness: Fixed(1))),
-    passes: [{passes}],
-)"#
-    );
+    let scene = GRAY_SPHERE
+        .replace(
+            "eye: (0, 0, 3), width: 16, height: 16",
+            "eye: (0, 0, 6), fov_degrees: 20, width: 33, height: 33",
+        )
+        .replace(
+            "albedo: Fixed(0.1, 0.1, 0.1), roughness: Fixed(0.3)",
+            "albedo: Fixed(0, 0, 0), roughness: Fixed(1)",
+        )
+        .replace("{PASS}", &passes);
     data.run(&scene, "out", &["--quiet"]).succeeded();
     let places = [("left", 5, 16), ("right", 27, 16), ("top", 16, 5), ("bottom", 16, 27), ("center", 16, 16)];
     for (case, (convention, texel, side)) in cases.iter().enumerate() {
         for (k, shading) in shadings.iter().enumerate() {
-            let red = &data.exr(format!("out/lit{case}_{k}/front.exr")).channels["R"];
+            let red = &data.exr(format!("out/lit{case}_{k}/a.exr")).channels["R"];
             let at = |&(_, x, y): &(&str, usize, usize)| red[y * 33 + x];
             let found = places.iter().max_by(|a, b| at(a).total_cmp(&at(b))).unwrap().0;
             assert_eq!(found, *side, "{convention:?} {texel:?} {shading}");

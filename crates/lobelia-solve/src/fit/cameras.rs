@@ -545,11 +545,8 @@ mod tests {
         for pixel in 0..64 * 64 {
             let (x, y) = ((pixel % 64) as f32 + 0.5, (pixel / 64) as f32 + 0.5);
             let around = [(x, y), (x + 1.0, y), (x - 1.0, y), (x, y + 1.0), (x, y - 1.0)];
-            let [Some(here), Some(right), Some(left), Some(below), Some(above)] =
-                around.map(|(x, y)| photograph(x, y))
-            else {
-                continue;
-            };
+            let seen = around.map(|(x, y)| photograph(x, y));
+            let [Some(here), Some(right), Some(left), Some(below), Some(above)] = seen else { continue };
             let Some(point) = on_ball(camera, x, y) else { continue };
             let Some([by_x, by_y]) = projection_jacobian(camera, point, Vec3::ZERO) else { continue };
             let (dx, dy) = (0.5 * (right - left), 0.5 * (below - above));
@@ -617,9 +614,6 @@ mod tests {
         // A view without residuals stays.
         let (sums, pose) = (PoseSums::default(), [0.0; POSE]);
         let view = AlignedView { sums, pose, prior: PRIOR, camera: given[0] };
-        assert_eq!(
-            [false, true].map(|known| solve(&[view], Vec3::ZERO, known, 0.0)),
-            [(); 2].map(|()| (vec![pose], 0.0))
-        );
+        assert_eq!(solve(&[view], Vec3::ZERO, false, 0.0), (vec![pose], 0.0));
     }
 }

@@ -539,12 +539,11 @@ mod tests {
 
     #[test]
     fn patches_are_near_and_turned_alike() {
-        let at = |x: f32, normal: Vec3| Observation {
-            point: SurfacePoint { position: Vec3::new(x, 0.0, 0.0), normal, ..SurfacePoint::default() },
-            ..Observation::default()
-        };
-        let seen =
-            [at(0.0, Vec3::X), at(1.0, Vec3::X), at(0.001, Vec3::X), at(0.001, -Vec3::X), at(0.03, Vec3::X)];
+        let seen = [(0.0, 1.0), (1.0, 1.0), (0.001, 1.0), (0.001, -1.0), (0.03, 1.0)].map(|(x, facing)| {
+            let (position, normal) = (Vec3::X * x, Vec3::X * facing);
+            let point = SurfacePoint { position, normal, ..SurfacePoint::default() };
+            Observation { point, ..Observation::default() }
+        });
         let patches = patches(&seen, [16.0, 128.0], true);
         let of_patch =
             |(run, cluster): &(Range<usize>, usize)| (patches.pixels[run.clone()].to_vec(), *cluster);

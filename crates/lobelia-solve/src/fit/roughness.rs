@@ -402,8 +402,8 @@ mod tests {
 
     #[test]
     fn averaging_keeps_an_even_gradient_and_spreads_an_uneven_one() {
-        let positions: Vec<Vec3> =
-            (0..1000).map(|i| Vec3::new((i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32)).collect();
+        let positions: [Vec3; 1000] =
+            std::array::from_fn(|i| Vec3::from([1, 10, 100].map(|step| (i / step % 10) as f32)));
         let even = BlendGradient([0.5; MAX_SPECULAR_LOBES]);
         let mut gradients = vec![even; positions.len()];
         average_over_cells(&positions, &mut gradients, 4.0);
@@ -447,8 +447,7 @@ mod tests {
         for (roughness, share) in [(0.12, 0.3), (0.2, 0.9), (0.4, 0.5), (0.7, 0.8)] {
             let roughness = TexelRoughness { roughness, share };
             for (k, found) in roughness.adjoint_of(&adjoint).into_iter().enumerate() {
-                let at =
-                    |step: f32| loss(roughness.moved(if k == 0 { [-step, 0.0] } else { [0.0, -step] }, true));
+                let at = |step: f32| loss(roughness.moved([[-step, 0.0], [0.0, -step]][k], true));
                 let exact = (at(5e-3) - at(-5e-3)) / 1e-2;
                 assert!((f64::from(found) - exact).abs() < 2e-3, "{k}: {found} {exact}");
             }
@@ -480,8 +479,7 @@ mod tests {
             for k in 0..2 {
                 let at = |step: f32| {
                     let mut moved = roughness;
-                    let by = if k == 0 { [-step, 0.0] } else { [0.0, -step] };
-                    moved[texel] = roughness[texel].moved(by, true);
+                    moved[texel] = roughness[texel].moved([[-step, 0.0], [0.0, -step]][k], true);
                     value(&moved)
                 };
                 let exact = (at(1e-3) - at(-1e-3)) / 2e-3;

@@ -396,9 +396,8 @@ mod tests {
 
         /// The loss of which [`ADJOINT`] is the derivative.
         fn loss(&self) -> f64 {
-            let of_point =
-                |l: &Layers| (0..3).map(|c| ADJOINT[c] * (l.diffuse[c] + l.specular[c])).sum::<f32>();
-            self.radiance().iter().map(|layers| f64::from(of_point(layers))).sum()
+            let of_channel = |l: &Layers, c: usize| f64::from(ADJOINT[c] * (l.diffuse[c] + l.specular[c]));
+            self.radiance().iter().flat_map(|l| [0, 1, 2].map(|c| of_channel(l, c))).sum()
         }
 
         /// The gradient of the loss: with respect to what points share, and to the blends of each.
