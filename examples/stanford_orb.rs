@@ -105,17 +105,12 @@ fn scene_of(orb: &Path, capture: &str, views: &[PlannedView], downscale: u32) ->
             continue;
         }
         let map = orb.join("ground_truth").join(&scene).join("env_map").join(file);
-        let turn = turn_of(view).to_array();
+        let ([x, y, z], name) = (turn_of(view).to_array(), view.name());
         relights += &format!(
-            "        Relight(name: \"relit_{name}\", light: Map(path: {map:?}, rotation_degrees: ({}, {}, {})), \
-             render: (views: Named([\"{name}\"]))),\n",
-            turn[0],
-            turn[1],
-            turn[2],
-            name = view.name(),
+            "        Relight(name: \"relit_{name}\", light: Map(path: {map:?}, rotation_degrees: ({x}, {y}, {z})), \
+             render: (views: Named([\"{name}\"]))),\n"
         );
-        scores +=
-            &format!("            (pass: \"relit_{}\", truth: Photographs, scale: PerView),\n", view.name());
+        scores += &format!("            (pass: \"relit_{name}\", truth: Photographs, scale: PerView),\n");
     }
     let novel = own.join(", ");
     Ok(format!(

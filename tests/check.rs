@@ -1,17 +1,12 @@
 //! `lobelia check` on photographs: what it says, what it writes, what stops a run before it costs time, and that the two agree: what one
 //! refuses the other refuses, with the same message, and what `check` takes does run.
 
-use crate::common::{Data, FIT, NOVEL, Outcome, SCORES, changed, files_below, scene};
+use crate::common::{Data, NOVEL, Outcome, changed, files_below, scene, usual};
 use serde_json::Value;
-
-/// A right scene.
-fn right() -> String {
-    scene(&[FIT, NOVEL, SCORES].concat())
-}
 
 /// Checks the scene in the folder of its data.
 fn check(data: &Data, arguments: &[&str]) -> Outcome {
-    data.write("scene.ron", right());
+    data.write("scene.ron", usual());
     data.lobelia(&[&["check", "scene.ron"], arguments].concat())
 }
 
@@ -57,10 +52,10 @@ fn a_black_photograph_stops_check_and_run() {
         layers.channels.values_mut().for_each(|channel| channel.fill(0.0));
     });
     let words = ["black where the object is, in view `rgb_000003`", "help: Replace it"];
-    let looked = data.check(&right());
+    let looked = data.check(&usual());
     looked.refused(&words);
     assert!(looked.stdout.contains("scene.ron: 1 error"), "{}", looked.stdout);
-    data.run(&right(), "out", &["--quiet"]).refused(&words);
+    data.run(&usual(), "out", &["--quiet"]).refused(&words);
     assert!(files_below(&data.path("out")).is_empty(), "nothing is written before the data is looked at");
 }
 
@@ -69,7 +64,7 @@ fn a_mesh_in_millimeters_stops_a_run_and_a_warning_does_not() {
     let data = Data::new();
     let mesh = lobelia::mesh::primitive::sphere_mesh(glam::Vec3::ZERO, 800.0).unwrap();
     lobelia::codec::gltf::export::write_glb(&data.path("mesh.glb"), &mesh, None).unwrap();
-    data.run(&right(), "out", &["--quiet"]).refused(&["1000 times too large"]);
+    data.run(&usual(), "out", &["--quiet"]).refused(&["1000 times too large"]);
     let data = Data::new();
     data.change_image("train/image/rgb_000001.exr", |layers| {
         layers.channels.values_mut().flatten().for_each(|value| *value *= 4096.0);
@@ -77,7 +72,7 @@ fn a_mesh_in_millimeters_stops_a_run_and_a_warning_does_not() {
     let said = check(&data, &["--data", "."]).succeeded().stdout;
     assert!(said.contains("scene.ron: 1 warning\n"), "{}", said);
     assert!(said.contains("warning (exposure): the exposure differs"), "{}", said);
-    let run = data.run(&right(), "out", &[]).succeeded();
+    let run = data.run(&usual(), "out", &[]).succeeded();
     assert!(run.stderr.contains("note: the exposure differs from that of views"), "{}", run.stderr);
 }
 
@@ -86,12 +81,12 @@ fn check_refuses_what_a_run_refuses_before_its_first_pass() {
     let data = Data::new();
     data.write("bad.npy", "no numbers");
     data.write("bad.glb", "no mesh");
-    let with = |pass: &str| changed(&right(), "Evaluate(", &format!("{pass}, Evaluate("));
+    let with = |pass: &str| changed(&usual(), "Evaluate(", &format!("{pass}, Evaluate("));
     let known = "light: Fixed(Npy(path: \"$DATA/bad.npy\")), material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), \
                  specular: (albedo: Fixed(0.05, 0.05, 0.05), roughness: Fixed(0.3)))";
     for (scene, words) in [
         (with(r#"Relight(name: "relit", light: Npy(path: "$DATA/bad.npy"))"#), "bad.npy"),
-        (changed(&right(), "Evaluate(", r#"Evaluate(mesh: "$DATA/bad.glb", "#), "bad.glb"),
+        (changed(&usual(), "Evaluate(", r#"Evaluate(mesh: "$DATA/bad.glb", "#), "bad.glb"),
         (with(r#"Render(name: "one", render: (views: Named(["nope"])))"#), "there is no view nope"),
         (changed(&scene(NOVEL), "light: Unknown(lobes: 6)", known), "bad.npy"),
     ] {

@@ -2,16 +2,12 @@
 //! together, whatever became of the run.
 
 use crate::common::{
-    AtWork, Data, ENDLESS, FIT, NOVEL, SCORES, colmap_scene, files_below, is_temporary, scene,
+    AtWork, Data, ENDLESS, FIT, NOVEL, SCORES, colmap_scene, files_below, is_temporary, scene, usual,
 };
 use serde_json::Value;
 use std::{collections::BTreeMap, path::Path};
 
 const SAVE: &str = "Save(), ";
-
-fn usual() -> String {
-    scene(&[FIT, NOVEL, SCORES].concat())
-}
 
 /// All files below a folder with their bytes.
 fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {

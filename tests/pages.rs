@@ -1,7 +1,7 @@
 //! Pages: what `View` and `lobelia view` write of a saved object; what `lobelia run` writes of itself after every pass, and
 //! `lobelia report` makes of runs; and what they refuse.
 
-use crate::common::{Data, GRAY_SPHERE, Outcome, files_below, scene};
+use crate::common::{Data, GRAY_SPHERE, files_below, scene};
 use serde_json::Value;
 
 const PASSES: &str = r#"
@@ -39,10 +39,6 @@ fn with_photographs(scene: &Value) -> Vec<String> {
     names(scene, "cameras", |view| !view["photograph"].is_null())
 }
 
-fn view(data: &Data, arguments: &[&str]) -> Outcome {
-    data.lobelia(&[&["view"], arguments].concat())
-}
-
 #[test]
 fn pages_offer_the_lights_and_cameras_of_the_scene() {
     let data = Data::new();
@@ -64,19 +60,19 @@ fn pages_offer_the_lights_and_cameras_of_the_scene() {
     // A saved object gets a page and nothing else; an earlier page is replaced, and a file of the user is not.
     let before = files_below(&data.path("out"));
     data.write("moon.ron", "Lobes(lobes: [(axis: (0, 1, 0), sharpness: 9, amplitude: (1, 1, 2))])");
-    view(&data, &["out"]).succeeded();
-    view(&data, &["out", "--light", "moon.ron"]).succeeded();
+    data.lobelia(&["view", "out"]).succeeded();
+    data.lobelia(&["view", "out", "--light", "moon.ron"]).succeeded();
     let mut after = files_below(&data.path("out"));
     after.retain(|file| !before.contains(file));
     assert_eq!(after, ["view.html"]);
     assert_eq!(lights(&scene_of(&data, "out/view.html")), ["found", "moon"]);
     data.write("out/view.html", "<p>my own page</p>");
-    view(&data, &["out"]).refused(&["view.html is not a page"]);
+    data.lobelia(&["view", "out"]).refused(&["view.html is not a page"]);
     assert_eq!(data.text("out/view.html"), "<p>my own page</p>");
 }
 
 #[test]
-fn pages_have_the_photographs_of_the_run_the_held_out_ones_first() {
+fn pages_have_the_photographs_of_the_run_if_they_are_there_the_held_out_ones_first() {
     let data = Data::new();
     let passes = r#"Fit(name: "fit", steps: 2), Save(), View(), View(name: "few", photographs: 3), View(name: "none", photographs: 0)"#;
     data.run(&scene(passes), "out", &["--quiet"]).succeeded();
@@ -93,19 +89,15 @@ fn pages_have_the_photographs_of_the_run_the_held_out_ones_first() {
     let side = |key: &str, i: usize| photograph[key][i].as_u64().unwrap();
     assert!(side("window", 2) <= 48 && side("size", 0) == side("window", 2), "{}", photograph["window"]);
     assert!(few["arrays"]["coverage0"]["count"].as_u64().unwrap() == side("size", 0) * side("size", 1));
-}
 
-#[test]
-fn a_saved_object_finds_its_photographs_again_or_does_without() {
-    let data = Data::new();
-    data.run(&scene(r#"Fit(name: "fit", steps: 2), Save()"#), "out", &["--quiet"]).succeeded();
+    // The saved object finds its photographs again, or does without.
     let root = data.root().to_str().unwrap();
     let page = || scene_of(&data, "out/view.html");
-    let seen = view(&data, &["out", "--data", root, "--photographs", "1"]).succeeded();
+    let seen = data.lobelia(&["view", "out", "--data", root, "--photographs", "1"]).succeeded();
     assert!((seen.stderr + &seen.stdout).contains("1 photograph,"));
     assert_eq!(with_photographs(&page()).len(), 1);
     let without = || {
-        let outcome = view(&data, &["out", "--data", root]).succeeded();
+        let outcome = data.lobelia(&["view", "out", "--data", root]).succeeded();
         let said = outcome.stderr.matches("the page has neither photographs nor their cameras").count();
         assert_eq!(said, 1, "{}", outcome.stderr);
         assert!(cameras(&page()).is_empty());
@@ -120,12 +112,12 @@ fn a_saved_object_finds_its_photographs_again_or_does_without() {
 #[test]
 fn folders_without_a_saved_object_are_refused() {
     let data = Data::new();
-    view(&data, &["nowhere"]).refused(&["is not there"]);
+    data.lobelia(&["view", "nowhere"]).refused(&["is not there"]);
     std::fs::create_dir(data.path("nowhere")).unwrap();
-    view(&data, &["nowhere"]).refused(&["has no saved/scene.ron", "`Save("]);
+    data.lobelia(&["view", "nowhere"]).refused(&["has no saved/scene.ron", "`Save("]);
     let text = GRAY_SPHERE.replace("albedo: Fixed(Constant(0.5, 0.5, 0.5))", "albedo: Unknown");
     data.write("unknown.ron", text.replace("passes: [{PASS}],", ""));
-    view(&data, &["unknown.ron"]).refused(&["diffuse albedo"]);
+    data.lobelia(&["view", "unknown.ron"]).refused(&["diffuse albedo"]);
     assert!(!files_below(data.root()).iter().any(|file| file.ends_with(".html")));
 }
 
@@ -141,10 +133,6 @@ fn reported() -> String {
         albedo: Constant(0.5, 0.3, 0.2), specular: (albedo: (0.3, 0.3, 0.3), roughness: 0.25),
         light: Lobes(lobes: [(axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.6, 0.6, 0.6))])))"#;
     scene(passes).replace(r#"Dataset(path: "$DATA")"#, views)
-}
-
-fn report(data: &Data, arguments: &[&str]) -> Outcome {
-    data.lobelia(&[&["report"], arguments].concat())
 }
 
 #[track_caller]
@@ -169,7 +157,7 @@ fn a_run_has_a_report_with_everything() {
     assert!(!text.contains("http:") && !text.contains("https:"), "it asks no server for anything");
     // The same page comes of the folder alone, also where it was moved.
     std::fs::rename(data.path("out"), data.path("moved")).unwrap();
-    report(&data, &["moved"]).succeeded();
+    data.lobelia(&["report", "moved"]).succeeded();
     assert_eq!(data.text("moved/report.html"), text.replace(">out<", ">moved<"));
     let mut manifest = data.manifest("moved");
     has(manifest["scene_text"].as_str().unwrap(), &["Scene("]);
@@ -183,7 +171,7 @@ fn a_run_has_a_report_with_everything() {
     data.write("moved/run.json", manifest.to_string());
     std::fs::remove_dir_all(data.path("moved/scores")).unwrap();
     std::fs::remove_dir_all(data.path("moved/fit")).unwrap();
-    report(&data, &["moved"]).succeeded();
+    data.lobelia(&["report", "moved"]).succeeded();
     has(&data.text("moved/report.html"), &["s-failed", "scores: &lt;no&gt; room"]);
 }
 
@@ -192,20 +180,20 @@ fn runs_stand_side_by_side() {
     let data = Data::new();
     data.run(&reported(), "a", &["--quiet"]).succeeded();
     data.run(&reported(), "b", &["--quiet", "--set", "passes.fit.steps=5"]).succeeded();
-    let both = ["a", "b", "--out", "both.html"];
-    report(&data, &both).succeeded();
+    let both = ["report", "a", "b", "--out", "both.html"];
+    data.lobelia(&both).succeeded();
     let text = data.text("both.html");
     has(&text, &["<title>a · b</title>", "passes.fit.steps", "<td>45</td><td>5</td>"]);
     has(&text, &["class=\"worse\">(▼ -", "a: render of view", "b: render of view", "b: error of view"]);
     assert_eq!(files_below(&data.path("a")).iter().filter(|file| file.ends_with(".html")).count(), 1);
     // An earlier report is replaced, and a file of the user is not.
-    report(&data, &both).succeeded();
+    data.lobelia(&both).succeeded();
     data.write("both.html", "<p>my own page</p>");
-    report(&data, &both).refused(&["both.html is not a page that this command wrote"]);
+    data.lobelia(&both).refused(&["both.html is not a page that this command wrote"]);
     assert_eq!(data.text("both.html"), "<p>my own page</p>");
     data.write("view.html", r#"<meta name="generator" content="Lobelia">"#);
-    report(&data, &["a", "--out", "view.html"]).refused(&["view.html is not a page"]);
-    report(&data, &["a", "--out", "train"]).refused(&["train: it is a folder"]);
+    data.lobelia(&["report", "a", "--out", "view.html"]).refused(&["view.html is not a page"]);
+    data.lobelia(&["report", "a", "--out", "train"]).refused(&["train: it is a folder"]);
     // A report in the way of a run stays.
     let mut manifest = data.manifest("a");
     manifest["files"] = serde_json::json!(["metrics.json"]);
@@ -218,8 +206,8 @@ fn runs_stand_side_by_side() {
 #[test]
 fn what_is_no_run_is_refused() {
     let data = Data::new();
-    report(&data, &["nowhere"]).refused(&["nowhere is not there", "help: Give the output folder"]);
-    report(&data, &["train"]).refused(&["train is not the folder of a run: it has no run.json"]);
-    assert_eq!(report(&data, &[]).code, Some(2));
+    data.lobelia(&["report", "nowhere"]).refused(&["nowhere is not there", "help: Give the output folder"]);
+    data.lobelia(&["report", "train"]).refused(&["train is not the folder of a run: it has no run.json"]);
+    assert_eq!(data.lobelia(&["report"]).code, Some(2));
     assert!(!files_below(data.root()).iter().any(|file| file.ends_with(".html")));
 }

@@ -656,3 +656,8 @@ pub fn colmap_scene() -> String {
     known_scene(r#"Render(name: "novel", render: (views: All)),"#)
         .replace(r#"Dataset(path: "$DATA")"#, r#"Dataset(path: "$DATA/colmap")"#)
 }
+
+/// A right scene.
+pub fn usual() -> String {
+    scene(&[FIT, NOVEL, SCORES].concat())
+}
