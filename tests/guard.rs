@@ -100,17 +100,13 @@ fn poisoned_fit(
     (pipeline, summary, states)
 }
 
-/// A fit of which steps `from` to `to` are poisoned.
-fn poisoned(from: u32, to: u32) -> (Pipeline, Result<FitSummary>) {
-    let options = FitOptions { steps: 40, batch: 64, ..FitOptions::default() };
-    let poison = Poison { steps: from..to, place: Place::Radiance };
-    let (pipeline, summary, _) = poisoned_fit(poison, &options, |_| ());
-    (pipeline, summary)
-}
-
 #[test]
 fn a_step_that_is_not_finite_is_taken_back_and_counted() {
-    let (mut pipeline, summary) = poisoned(10, 14);
+    let fit = |steps: Range<u32>| {
+        let options = FitOptions { steps: 40, batch: 64, ..FitOptions::default() };
+        poisoned_fit(Poison { steps, place: Place::Radiance }, &options, |_| ())
+    };
+    let (mut pipeline, summary, _) = fit(10..14);
     assert_eq!(summary.unwrap().steps, 40);
     let guard = pipeline.world.resource::<StepGuard>();
     assert_eq!(guard.taken_back, 4);
@@ -120,6 +116,11 @@ fn a_step_that_is_not_finite_is_taken_back_and_counted() {
     let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap();
     assert!(albedo.iter().all(|albedo| albedo.0.is_finite()));
     assert!(world.query::<&LightLobe>().iter(world).all(|lobe| lobe.amplitude.is_finite()));
+    // A fit of which no step is finite ends with the place.
+    let error = fit(5..99).1.unwrap_err().to_string();
+    for word in ["fit, step 14", "10 steps in a row", "at view front, pixel (", "no parameter"] {
+        assert!(error.contains(word), "no {word:?} in {error}");
+    }
 }
 
 #[test]
@@ -179,12 +180,4 @@ fn steps_of_vertices_and_cameras_that_are_not_finite_are_taken_back() {
     let positions = read_column::<VertexIndex, VertexPosition>(&mut pipeline.world).unwrap();
     assert!(positions.iter().all(|position| position.0.is_finite()));
     assert!(positions.iter().any(|position| (position.0.length() - RADIUS).abs() > 1e-6), "they move");
-}
-
-#[test]
-fn a_fit_of_which_no_step_is_finite_ends_with_the_place() {
-    let error = poisoned(5, 99).1.unwrap_err().to_string();
-    for word in ["fit, step 14", "10 steps in a row", "at view front, pixel (", "no parameter"] {
-        assert!(error.contains(word), "no {word:?} in {error}");
-    }
 }

@@ -83,31 +83,27 @@ fn the_right_scene_is_taken_also_with_a_byte_order_mark() {
 }
 
 #[test]
-fn scenes_with_long_lines() {
+fn scenes_with_long_lines_and_that_are_no_text_or_would_take_much_memory() {
     let one_line = small("texture_size: 16", "radius: -1").replace('\n', " ");
-    let text = one_line.replace("version", &format!("/*{}*/ version", "é".repeat(1_000_000)));
-    refuse_scene(&with_scene(text), &["radius is -1", "scene.ron:1:", "from"]);
-    let name = format!("{:?}", "x".repeat(65_536));
-    refuse_scene(&with_scene(small("\"a\"", &name)), &["name is \"xxx", "1 to 100"]);
-}
-
-#[test]
-fn scenes_that_would_take_much_memory() {
+    let comment = one_line.replace("version", &format!("/*{}*/ version", "é".repeat(1_000_000)));
+    let name = small("\"a\"", &format!("{:?}", "x".repeat(65_536)));
+    for (text, words) in [
+        (comment.into_bytes(), ["radius is -1", "scene.ron:1:"]),
+        (name.into_bytes(), ["name is \"xxx", "1 to 100"]),
+        (vec![b'(', 0xff, 0xfe], ["byte 1", "UTF-8"]),
+    ] {
+        refuse_scene(&with_scene(text), &words);
+    }
     let folder = with_scene("");
     write_sparse(&folder, "scene.ron", 100 << 20);
     refuse_scene(&folder, &["the file has 100.0 MiB", "at most 16.0 MiB are read"]);
+    let folder = Data::bare();
+    std::fs::create_dir(folder.path("scene.ron")).unwrap();
+    refuse_scene(&folder, &["this is a folder"]);
     let cameras = format!("{CAMERA}, ").repeat(3000);
     let Outcome { code, stderr, .. } = bounded(&with_scene(small(CAMERA, &cameras)), &["check", "scene.ron"]);
     assert!(code == Some(2) && stderr.len() < 20_000, "{} bytes", stderr.len());
     assert!(stderr.contains("2999 problems") && stderr.contains("and 2979 more"), "{stderr}");
-}
-
-#[test]
-fn scenes_that_are_no_text() {
-    refuse_scene(&with_scene([b'(', 0xff, 0xfe]), &["byte 1", "UTF-8"]);
-    let folder = Data::bare();
-    std::fs::create_dir(folder.path("scene.ron")).unwrap();
-    refuse_scene(&folder, &["this is a folder"]);
 }
 
 #[cfg(unix)]
