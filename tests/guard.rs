@@ -126,13 +126,8 @@ fn a_step_that_is_not_finite_is_taken_back_and_counted() {
 #[test]
 fn the_steps_that_are_taken_back_change_nothing_else() {
     let unknowns = Unknowns { sheen: true, ..Unknowns::default() };
-    let options = FitOptions {
-        steps: 24,
-        batch: 64,
-        unknowns,
-        exposure: ExposureChoice::Color,
-        ..FitOptions::default()
-    };
+    let exposure = ExposureChoice::Color;
+    let options = FitOptions { steps: 24, batch: 64, unknowns, exposure, ..FitOptions::default() };
     let states = |place: Place, steps: Range<u32>| {
         let (pipeline, summary, states) = poisoned_fit(Poison { steps, place }, &options, |_| ());
         summary.unwrap();
@@ -169,12 +164,8 @@ fn steps_of_vertices_and_cameras_that_are_not_finite_are_taken_back() {
     let fit_of_cameras = pipeline.world.resource::<CameraFit>();
     assert!(fit_of_cameras.noise.iter().all(|noise| noise.is_finite()));
     let (first, mut pipeline) = fit(Place::Vertices, &|pipeline| {
-        let surface = Surface::new(sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), 32).unwrap();
-        _ = pipeline.add_plugin(&VertexPlugin {
-            surface: Arc::new(surface),
-            steps: 110,
-            silhouettes: Arc::default(),
-        });
+        let surface = Arc::new(Surface::new(sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), 32).unwrap());
+        _ = pipeline.add_plugin(&VertexPlugin { surface, steps: 110, silhouettes: Arc::default() });
     });
     assert!(first.contains("step 60: the gradient is not finite, by vertex "), "{first}");
     let positions = read_column::<VertexIndex, VertexPosition>(&mut pipeline.world).unwrap();

@@ -1,9 +1,7 @@
 //! Hostile, damaged and senseless input: one clear message that names the file, exit code 2, little time, little memory, and nothing
 //! written; never a panic. What may be odd but is understood is taken. Readers of files have such tests of their own, of every kind.
 
-use crate::common::{
-    self, Data, FIT, GRAY_SPHERE, NOVEL, Outcome, changed, files_below, is_temporary, save_png, write_image,
-};
+use crate::common::{self, *};
 use image::{DynamicImage, GrayImage, Luma};
 use serde_json::json;
 use std::process::{Command, Stdio};

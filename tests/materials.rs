@@ -1,9 +1,7 @@
 //! Materials from photographs to a saved scene: the distribution of normals, several glosses, metal beside paint, sheen, tilt, and
 //! textures as fine as the photographs.
 
-use crate::common::{
-    Data, FIT, GRAY_SPHERE, camera, changed, day, painted_studio, photographs_of, scene, shoot, studio,
-};
+use crate::common::*;
 use crate::lights::lamp;
 use lobelia::fit::detail::{DetailOptions, solve_detail};
 use lobelia::material::sheen::{KnownAlong, write_albedo};
@@ -29,11 +27,7 @@ const SCENE: &str = r#"Scene(
     ),
     light: Fixed(Lobes(lobes: LIGHT)),
     material: (MATERIAL),
-    passes: [
-        Fit(name: "fit", steps: 300, batch: 1024),
-        Render(name: "novel"),
-        MORE
-    ],
+    passes: [Fit(name: "fit", steps: 300, batch: 1024), Render(name: "novel"), MORE],
 )
 "#;
 /// The first lobes are those of the scenes with few views.

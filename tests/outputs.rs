@@ -1,9 +1,7 @@
 //! Outputs never touch inputs, whatever passes, views and folders are called; two runs never mix; and `run.json` says what belongs
 //! together, whatever became of the run.
 
-use crate::common::{
-    AtWork, Data, ENDLESS, FIT, NOVEL, SCORES, colmap_scene, files_below, is_temporary, scene, usual,
-};
+use crate::common::*;
 use serde_json::Value;
 use std::{collections::BTreeMap, path::Path};
 
@@ -86,8 +84,7 @@ fn force_removes_no_result_that_the_run_reads() {
     let data = Data::new();
     let fixed = usual().replace("Unknown(lobes: 6)", r#"Fixed(Npy(path: "$DATA/out/fit/light.npy"))"#);
     data.run(&scene(&[FIT, "Export(formats: [Glb]),"].concat()), "out", &["--quiet"]).succeeded();
-    let export = scene(&[FIT, "Export(formats: [Usdz]),"].concat())
-        .replace("$DATA/mesh.glb", "$DATA/out/export/mesh.glb");
+    let export = scene(&[FIT, "Export(formats: [Usdz])"].concat()).replace("mesh.glb", "out/export/mesh.glb");
     refused(&data, &export, "out", &["--force would replace", "out/export/mesh.glb", "earlier run"]);
     refused(&data, &fixed, "out", &["pass fit would replace", "out/fit/light.npy"]);
     data.run(&export, "other", &["--quiet"]).succeeded();

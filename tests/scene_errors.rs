@@ -8,10 +8,7 @@ const RIGHT: &str = r#"Scene(
     surface: Sphere(radius: 0.8),
     views: Cameras([(name: "front", eye: (0, 0, 3), width: 16, height: 16)]),
     light: Fixed(Lobes(lobes: [(axis: (0, 1, 0), sharpness: 5, amplitude: (1, 1, 1))])),
-    material: (
-        albedo: Fixed(Constant(0.5, 0.5, 0.5)),
-        specular: (albedo: Fixed(0.3, 0.3, 0.3), roughness: Fixed(0.3)),
-    ),
+    material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0.3, 0.3, 0.3), roughness: Fixed(0.3))),
     passes: [
         Render(name: "novel", render: (exposure: 0.5)),
         Edit(name: "edited", edits: [Diffuse(action: Set(0.8, 0.1, 0.1))]),

@@ -1,10 +1,7 @@
 //! Scores: in sRGB, of normals, of public benchmarks, and those of small scenes to a hundredth of a decibel, so that each change of them is
 //! seen and explained.
 
-use crate::common::{
-    self, Data, SIZE, TEST, TRAIN, camera, changed, day, evening, known_scene, save_png, shoot, studio,
-    write_image, write_mask,
-};
+use crate::common::{self, *};
 use glam::{Affine3A, Vec3};
 use lobelia::{light::LightLobe, report::tone::srgb8, view::Frame};
 use serde::Deserialize;

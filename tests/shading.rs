@@ -10,16 +10,9 @@ use serde_json::{Map, Value, json};
 #[allow(dead_code)]
 mod example;
 
-const PATHS: u32 = 128;
-
 /// The path tracer; a pixel has four samples.
 fn traced_shading() -> ScheduleConfigs<ScheduleSystem> {
-    shade_path_traced(PathTracing {
-        paths_per_sample: PATHS / 4,
-        max_bounces: 2,
-        seed: 7,
-        samples_per_pixel: 4,
-    })
+    shade_path_traced(PathTracing { paths_per_sample: 32, max_bounces: 2, seed: 7, samples_per_pixel: 4 })
 }
 
 /// Mean color over the pixels that are wholly on the object, in the part of the picture that `part` picks by column.

@@ -1,8 +1,6 @@
 //! Runs that are asked to stop: they end soon, wherever they are, and keep what they have found.
 
-use crate::common::{
-    AtWork, Data, ENDLESS, FIT, NOVEL, SCORES, files_below, is_temporary, scene, write_image,
-};
+use crate::common::*;
 use crate::photos::photographs;
 use glam::Vec3;
 use std::time::{Duration, Instant};
@@ -105,8 +103,7 @@ fn a_second_signal_ends_a_run_at_once() {
 #[test]
 fn a_run_that_is_stopped_before_its_first_pass_leaves_nothing() {
     let data = Data::new();
-    let text = scene(FIT)
-        .replace("light: Unknown(lobes: 6)", r#"light: Initial(Map(path: "$DATA/sky.exr", lobes: 128))"#);
+    let text = scene(FIT).replace("Unknown(lobes: 6)", r#"Initial(Map(path: "$DATA/sky.exr", lobes: 128))"#);
     let pixel = |i: u32| Vec3::splat(0.1 + ((i * 7919) % 1000) as f32 / 500.0);
     write_image(&data.path("sky.exr"), &(0..256 * 128).map(pixel).collect::<Vec<_>>(), 256);
     data.write("scene.ron", text);

@@ -460,8 +460,8 @@ mod tests {
         let prior = RoughnessPrior { smoothness, color_width, varied_specular: true, neighbors };
         let roughness = [(0.2, 0.5), (0.21, 0.52), (0.4, 0.9)]
             .map(|(roughness, share)| TexelRoughness { roughness, share });
-        let albedo = [Vec3::new(0.5, 0.4, 0.3), Vec3::new(0.5, 0.45, 0.3), Vec3::new(0.3, 0.4, 0.6)]
-            .map(DiffuseAlbedo);
+        let albedo =
+            [[0.5, 0.4, 0.3], [0.5, 0.45, 0.3], [0.3, 0.4, 0.6]].map(|rgb| DiffuseAlbedo(rgb.into()));
         let value = |roughness: &[TexelRoughness]| -> f64 {
             let pair = |[a, b]: &[u32; 2]| {
                 let (a, b) = (*a as usize, *b as usize);
