@@ -1,11 +1,9 @@
 //! Usual idioms of bevy: markers, despawning, sorting, change detection, systems and plugins of
 //! one's own.
 
-use crate::common::{RADIUS, camera, day, evening, photographs_of, shoot, studio};
-use lobelia::view::{Camera, Frame};
+use crate::common::{RADIUS, camera, column, day, evening, photographs_of, shoot, studio};
 use lobelia::{
-    codec::exr::read_exr_layers, material::shown::recovered_material, mesh::primitive::box_mesh,
-    pass::save::write_material, pipeline::pool::read_column, prelude::*, sample::pixel::SampleIndex,
+    codec::exr::read_exr_layers, material::shown::recovered_material, pass::save::write_material, prelude::*,
 };
 use std::{collections::BTreeSet, ops::ControlFlow, sync::LazyLock};
 
@@ -34,15 +32,11 @@ type Found = (Vec<DiffuseAlbedo>, Vec<LightLobe>, SpecularLobe);
 fn found(mut pipeline: Pipeline) -> Found {
     let world = &mut pipeline.world;
     let lobes = world.query::<&LightLobe>().iter(world).copied().collect();
-    (albedo(world), lobes, *world.query::<&SpecularLobe>().single(world).unwrap())
+    (column(world), lobes, *world.query::<&SpecularLobe>().single(world).unwrap())
 }
 
 /// What a fit finds that nothing changed.
 static PLAIN: LazyLock<Found> = LazyLock::new(|| found(fitted(|_| ())));
-
-fn albedo(world: &mut World) -> Vec<DiffuseAlbedo> {
-    read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap()
-}
 
 /// The message of a picture that cannot be rendered.
 fn refusal(pipeline: &mut Pipeline) -> String {
@@ -217,7 +211,7 @@ fn paint_green(composition: Composition) -> SystemResult {
 /// The same edit as an entity, with a region of weights.
 fn spawn_green(world: &mut World) -> Entity {
     let weight = |albedo: &DiffuseAlbedo| f32::from(u8::from(albedo.0.x > 0.5));
-    let region = EditRegion(Some(albedo(world).iter().map(weight).collect()));
+    let region = EditRegion(Some(column(world).iter().map(weight).collect()));
     let action = EditAction::Set(Vec3::Y);
     world.spawn((EditName("green".into()), EditTarget::Diffuse, action, region)).id()
 }
@@ -308,7 +302,7 @@ fn a_fit_that_is_removed_leaves_what_it_found_and_nothing_else() {
 fn an_edit_is_a_system_in_a_slot_and_leaves_what_was_recovered() {
     let mut pipeline = studio(&day());
     let plain = shoot(&mut pipeline, front());
-    let recovered = albedo(&mut pipeline.world);
+    let recovered = column::<DiffuseAlbedo>(&mut pipeline.world);
     pipeline.swap(Phase::Frame, Slot::Material, paint_green);
     let painted = shoot(&mut pipeline, front());
     assert_ne!(painted.albedo, plain.albedo);
@@ -330,14 +324,14 @@ fn an_edit_is_a_system_in_a_slot_and_leaves_what_was_recovered() {
     assert_ne!(shoot(&mut pipeline, front()).specular, plain.specular);
     pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
     assert_eq!(shoot(&mut pipeline, front()), plain);
-    assert_eq!(albedo(&mut pipeline.world), recovered);
+    assert_eq!(column::<DiffuseAlbedo>(&mut pipeline.world), recovered);
 }
 
 #[test]
 fn an_edit_of_a_region_shows_base_materials_that_go_with_it() {
     let mut pipeline = studio(&day());
     let plain = shoot(&mut pipeline, front());
-    let count = albedo(&mut pipeline.world).len();
+    let count = column::<DiffuseAlbedo>(&mut pipeline.world).len();
     let region = EditRegion(Some((0..count).map(|i| if i < count / 2 { 1.0 } else { 0.0 }).collect()));
     let edit = (EditName("polish".into()), EditTarget::Roughness, EditAction::Set(Vec3::splat(0.1)), region);
     pipeline.world.spawn(edit);

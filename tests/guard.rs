@@ -1,6 +1,6 @@
 //! Steps of a fit that are not finite: traced, taken back, and without any trace in what is found.
 
-use crate::common::{RADIUS, day, photographs_of, studio};
+use crate::common::{RADIUS, column, day, photographs_of, studio};
 use lobelia::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns};
 use lobelia::fit::components::{
     AlbedoGradient, AlbedoMoments, LobeMoments, SpecularMoments, StepRates, Unknowns,
@@ -50,16 +50,12 @@ fn poison_adjoints(samples: Samples<&mut PointAdjoint>) -> SystemResult {
 
 /// All that a fit moves or sums from step to step, in words.
 fn state(world: &mut World) -> String {
-    let texels = (
-        read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap(),
-        read_column::<TexelIndex, AlbedoGradient>(world).unwrap(),
-        read_column::<TexelIndex, AlbedoMoments>(world).unwrap(),
-        read_column::<TexelIndex, DiffuseSheen>(world).unwrap(),
-        read_column::<TexelIndex, SheenGradient>(world).unwrap(),
-        read_column::<TexelIndex, SheenMoments>(world).unwrap(),
-    );
+    let albedo: (Vec<DiffuseAlbedo>, Vec<AlbedoGradient>, Vec<AlbedoMoments>) =
+        (column(world), column(world), column(world));
+    let sheen: (Vec<DiffuseSheen>, Vec<SheenGradient>, Vec<SheenMoments>) =
+        (column(world), column(world), column(world));
     let lights: Vec<_> = world.query::<(&LightLobe, &LobeMoments)>().iter(world).collect();
-    let mut words = format!("{texels:?} {lights:?}");
+    let mut words = format!("{albedo:?} {sheen:?} {lights:?}");
     let gloss: Vec<_> = world.query::<(&SpecularLobe, &SpecularMoments)>().iter(world).collect();
     words += &format!("{gloss:?} {:?} {:?}", world.resource::<ScaleMoments>(), world.resource::<Exposures>());
     words
@@ -113,7 +109,7 @@ fn a_step_that_is_not_finite_is_taken_back_and_counted() {
     let first = guard.first.clone().unwrap();
     assert!(first.starts_with("step 10: the radiance is not finite at view front, pixel ("), "{first}");
     let world = &mut pipeline.world;
-    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap();
+    let albedo = column::<DiffuseAlbedo>(world);
     assert!(albedo.iter().all(|albedo| albedo.0.is_finite()));
     assert!(world.query::<&LightLobe>().iter(world).all(|lobe| lobe.amplitude.is_finite()));
     // A fit of which no step is finite ends with the place.

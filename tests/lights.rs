@@ -3,12 +3,11 @@
 //! and maps of the user's own that help it.
 
 use crate::common::*;
-use glam::{EulerRot, Quat, Vec3};
-use lobelia::codec::exr_frame::read_frame;
-use lobelia::codec::gltf::export::write_glb;
+use glam::{EulerRot, Quat};
 use lobelia::codec::npy::{NpyConvention, read_lobes};
-use lobelia::light::lobes_radiance;
-use lobelia::mesh::primitive::sphere_mesh;
+use lobelia::{
+    codec::exr_frame::read_frame, codec::gltf::export::write_glb, light::lobes_radiance, prelude::*,
+};
 use serde_json::Value;
 
 /// A ball of two colors under one lamp at the side and a sky.

@@ -327,7 +327,7 @@ fn a_fit_finds_a_sheen_and_none_where_there_is_none() {
     let found = |truth: DiffuseSheen| {
         let looks = FitOptions { looks_for_sheen: true, ..FitOptions::default() };
         let mut fitted = fitted_cloth(truth, looks, |_| ());
-        let sheen = read_column::<TexelIndex, DiffuseSheen>(&mut fitted.world).unwrap();
+        let sheen = column::<DiffuseSheen>(&mut fitted.world);
         let moved: Vec<Vec3> = sheen.iter().map(|of| of.0).filter(|of| *of != Vec3::ZERO).collect();
         sum(&moved) / moved.len().max(1) as f32
     };
@@ -338,7 +338,7 @@ fn a_fit_finds_a_sheen_and_none_where_there_is_none() {
 
 #[test]
 fn an_unknown_albedo_is_fitted_beside_a_known_one_along_the_surface() {
-    let truth = read_column::<TexelIndex, DiffuseAlbedo>(&mut studio(&day()).world).unwrap();
+    let truth = column::<DiffuseAlbedo>(&mut studio(&day()).world);
     let along: Vec<Vec3> = truth.iter().map(|albedo| albedo.0 + SHEEN.0).collect();
     let initialize = Initialize { light: false, albedo: true, specular: false };
     let mut pipeline = fitted_cloth(SHEEN, FitOptions { initialize, ..FitOptions::default() }, |world| {
@@ -346,10 +346,10 @@ fn an_unknown_albedo_is_fitted_beside_a_known_one_along_the_surface() {
         write_albedo(world, vec![Vec3::splat(0.4); along.len()]).unwrap();
     });
     let world = &mut pipeline.world;
-    let found = read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap();
-    let sheen = read_column::<TexelIndex, DiffuseSheen>(world).unwrap();
+    let found = column::<DiffuseAlbedo>(world);
+    let sheen = column::<DiffuseSheen>(world);
     assert!((0..along.len()).all(|i| (found[i].0 + sheen[i].0).abs_diff_eq(along[i], 1e-6)));
-    let seen = read_column::<TexelIndex, TexelSeen>(world).unwrap();
+    let seen = column::<TexelSeen>(world);
     let well = (0..along.len()).filter(|i| seen[*i].0 > 1.0);
     let off: Vec<f32> = well.map(|i| (found[i].0 - truth[i].0).abs().max_element()).collect();
     let mean = off.iter().sum::<f32>() / off.len() as f32;
@@ -481,8 +481,8 @@ fn a_saved_tilt_opens_with_the_same_bits_and_none_is_saved_where_none_is_wanted(
 
 /// The albedo of the texels that are well seen; those that no view sees stay gray.
 fn well_seen(mut solved: Pipeline) -> Vec<Vec3> {
-    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(&mut solved.world).unwrap();
-    let seen = read_column::<TexelIndex, TexelSeen>(&mut solved.world).unwrap();
+    let albedo = column::<DiffuseAlbedo>(&mut solved.world);
+    let seen = column::<TexelSeen>(&mut solved.world);
     let texels = || albedo.iter().map(|albedo| albedo.0).zip(seen.iter().map(|seen| seen.0));
     assert!(texels().filter(|texel| texel.1 == 0.0).all(|(albedo, _)| albedo == Vec3::splat(0.4)));
     texels().filter(|texel| texel.1 > 4.0).map(|texel| texel.0).collect()

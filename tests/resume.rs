@@ -2,9 +2,8 @@
 
 use crate::common::{self, AtStep, AtWork, Data, ENDLESS, Outcome, changed, colmap_scene, files_below, join};
 use crate::photos::photographs;
-use glam::Vec3;
 use lobelia::pass::progress::{Progress, Silent};
-use lobelia::{Result, codec::gltf::export::write_glb, mesh::primitive::sphere_mesh};
+use lobelia::{codec::gltf::export::write_glb, prelude::*};
 use serde_json::Value;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::{collections::BTreeMap, sync::LazyLock, time::Duration};

@@ -76,6 +76,11 @@ pub fn object(
     (pipeline, surface)
 }
 
+/// A component of all texels.
+pub fn column<C: Component + Copy>(world: &mut World) -> Vec<C> {
+    read_column::<TexelIndex, C>(world).unwrap()
+}
+
 /// Adds another mesh, without texture coordinates.
 pub fn join(mesh: &mut Mesh, other: &Mesh) {
     let first = mesh.positions.len() as u32;
