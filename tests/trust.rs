@@ -1,8 +1,7 @@
 //! Late failures come first or lose nothing, nonsense is told of, and what a run reads is neither changed nor written over.
 
 use crate::common::{AtStep, Data, GRAY_SPHERE, NOVEL, SCORES, files_below, flat, save_png, scene, skipped};
-use lobelia::error::Result;
-use lobelia::pass::progress::{Progress, Silent};
+use lobelia::pass::progress::Silent;
 use serde_json::json;
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -26,11 +25,6 @@ fn a_test_mask_of_another_size_ends_check_and_run_before_the_first_pass() {
     data.check(&usual()).refused(&["the mask has 2×2 pixels"]);
 }
 
-/// Runs a scene while something changes the data.
-fn run_in(data: &Data, scene: &str, resume: bool, meddler: &dyn Progress) -> Result<()> {
-    data.run_here(scene, "out", Some(Duration::ZERO), resume, meddler)
-}
-
 #[test]
 fn a_truth_that_goes_while_the_fit_works_costs_its_scores_alone_and_the_run_goes_on() {
     let data = Data::new();
@@ -39,7 +33,7 @@ fn a_truth_that_goes_while_the_fit_works_costs_its_scores_alone_and_the_run_goes
     let (truth, aside) = (data.path("test/gt/relit/rgb_000001.exr"), data.path("aside.exr"));
     let (from, to) = (truth.clone(), aside.clone());
     let meddler = AtStep("fit", 5, move || _ = std::fs::rename(&from, &to));
-    let error = run_in(&data, &scene, false, &meddler).unwrap_err();
+    let error = data.run_here(&scene, "out", Some(Duration::ZERO), false, &meddler).unwrap_err();
     assert!(error.to_string().contains("rgb_000001.exr: the file has gone since the run began"), "{error}");
     assert!(error.help().unwrap().contains("--resume"), "{error:?}");
     assert_eq!(data.states("out"), ["finished", "finished", "failed", "finished"]);
@@ -47,7 +41,7 @@ fn a_truth_that_goes_while_the_fit_works_costs_its_scores_alone_and_the_run_goes
     assert_eq!(data.manifest("out")["state"], "failed");
     // Back where it was, the run goes on.
     std::fs::rename(aside, truth).unwrap();
-    run_in(&data, &scene, true, &Silent).unwrap();
+    data.run_here(&scene, "out", Some(Duration::ZERO), true, &Silent).unwrap();
     assert_eq!(data.states("out"), ["finished"; 4]);
 }
 
@@ -166,7 +160,7 @@ fn what_a_true_mesh_names_is_watched() {
     let scene = usual().replace("Evaluate(", r#"Evaluate(mesh: "$DATA/true/mesh.gltf", "#);
     let buffer = data.path("true/a.bin");
     let meddler = AtStep("fit", 5, move || std::fs::write(&buffer, [0; 48]).unwrap());
-    let error = run_in(&data, &scene, false, &meddler).unwrap_err();
+    let error = data.run_here(&scene, "out", Some(Duration::ZERO), false, &meddler).unwrap_err();
     assert!(error.to_string().contains("a.bin: the file has changed since the run began"), "{error}");
 }
 

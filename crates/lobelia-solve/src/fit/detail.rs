@@ -637,10 +637,7 @@ mod tests {
         // A tilt that nothing supports goes.
         let found = equations(TexelChange::default(), 1.0).solve(true, Some((COLOR, Vec3::Z * 0.5)));
         assert!((found.tilt.z + 0.5).abs() < 1e-3, "a tilt along the normal is not seen: {found:?}");
-    }
-
-    #[test]
-    fn a_texel_that_is_not_seen_not_lit_or_black_has_no_tilt() {
+        // A texel that is not seen, not lit or black has none.
         let before = Some((COLOR, Vec3::ZERO));
         assert_eq!(TexelEquations::default().solve(true, before), TexelChange::default());
         let mut dark = TexelEquations::default();

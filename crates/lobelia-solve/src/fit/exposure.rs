@@ -298,10 +298,7 @@ mod tests {
             let truth: [Vec3; 12] = std::array::from_fn(|i| if i % every == 0 { value } else { Vec3::ONE });
             assert_eq!(decided(&truth), expected, "{value}");
         }
-    }
-
-    #[test]
-    fn a_decision_holds_until_the_next_fit_decides() {
+        // A decision holds until the next fit decides.
         let differ = [Vec3::splat(0.7), Vec3::splat(1.4), Vec3::ONE];
         let mut exposures = found(&differ, ExposureChoice::Auto);
         exposures.decide();

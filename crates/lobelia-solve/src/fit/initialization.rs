@@ -692,10 +692,7 @@ mod tests {
         let after: f32 = lobes.iter().map(power).sum();
         assert!((after / before - 1.0).abs() < 0.02, "{before} {after}");
         assert!(lobes.iter().all(|l| (l.axis.length() - 1.0).abs() < 1e-5 && l.amplitude.is_finite()));
-    }
-
-    #[test]
-    fn an_even_or_dark_light_is_left_alone() {
+        // An even or dark light is left alone.
         for amplitude in [Vec3::ZERO, Vec3::ONE] {
             let lobe = |axis| LightLobe { axis, sharpness: 20.0, amplitude };
             let lobes: Vec<LightLobe> = fibonacci_axes(32).into_iter().map(lobe).collect();
