@@ -1,7 +1,7 @@
 //! Pages: what `View` and `lobelia view` write of a saved object; what `lobelia run` writes of itself after every pass, and
 //! `lobelia report` makes of runs; and what they refuse.
 
-use crate::common::{Data, GRAY_SPHERE, files_below, scene};
+use crate::common::{Data, GRAY_SPHERE, files_below, photographed, scene};
 use serde_json::Value;
 
 const PASSES: &str = r#"
@@ -128,11 +128,7 @@ fn reported() -> String {
     let passes = r#"Fit(steps: 45, batch: 256), Render(name: "novel"),
         Edit(name: "polished", edits: [Roughness(action: Set(0.1))]),
         Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]),"#;
-    // Its photographs are made with a known light.
-    let views = r#"Photographed(cameras: (count: 6, test: 2, size: 20), spp: 2, truth: (
-        albedo: Constant(0.5, 0.3, 0.2), specular: (albedo: (0.3, 0.3, 0.3), roughness: 0.25),
-        light: Lobes(lobes: [(axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.6, 0.6, 0.6))])))"#;
-    scene(passes).replace(r#"Dataset(path: "$DATA")"#, views)
+    photographed(passes, "Lobes(lobes: [(axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.6, 0.6, 0.6))])")
 }
 
 #[track_caller]

@@ -1,6 +1,6 @@
 //! Late failures come first or lose nothing, nonsense is told of, and what a run reads is neither changed nor written over.
 
-use crate::common::{AtStep, Data, GRAY_SPHERE, NOVEL, SCORES, files_below, flat, save_png, scene, skipped};
+use crate::common::*;
 use lobelia::pass::progress::Silent;
 use serde_json::json;
 use std::process::{Command, Stdio};
@@ -143,7 +143,7 @@ fn write_triangle(data: &Data, address: &str) {
 }
 
 #[test]
-fn what_a_mesh_names_is_never_written_over() {
+fn what_a_mesh_or_a_light_names_is_never_written_over() {
     let data = Data::new();
     write_triangle(&data, "out/novel/a.png");
     let scene = GRAY_SPHERE
@@ -151,6 +151,11 @@ fn what_a_mesh_names_is_never_written_over() {
         .replace("{PASS}", r#"Render(name: "novel")"#);
     data.run(&scene, "true/out", &["--quiet", "--force"]).refused(&["pass novel would replace"]);
     assert_eq!(data.bytes("true/out/novel/a.png").len(), 36);
+    // The light of photographs that a scene takes.
+    data.write("out/fit/light.npy", data.bytes("evening.npy"));
+    data.write("light.ron", r#"Npy(path: "out/fit/light.npy")"#);
+    let scene = photographed(FIT, r#"Ron(path: "light.ron")"#);
+    data.run(&scene, "out", &["--quiet", "--force"]).refused(&["pass fit would replace"]);
 }
 
 #[test]
@@ -162,16 +167,4 @@ fn what_a_true_mesh_names_is_watched() {
     let meddler = AtStep("fit", 5, move || std::fs::write(&buffer, [0; 48]).unwrap());
     let error = data.run_here(&scene, "out", Some(Duration::ZERO), false, &meddler).unwrap_err();
     assert!(error.to_string().contains("a.bin: the file has changed since the run began"), "{error}");
-}
-
-#[test]
-fn the_light_of_photographs_that_a_scene_takes_is_never_written_over() {
-    let data = Data::new();
-    data.write("out/fit/light.npy", data.bytes("evening.npy"));
-    data.write("light.ron", r#"Npy(path: "out/fit/light.npy")"#);
-    let scene = r#"Scene(version: 1, surface: Sphere(radius: 0.8, texture_size: 16),
-        views: Photographed(cameras: (count: 2, test: 1, size: 8), spp: 1, truth: (albedo: Constant(0.5, 0.5, 0.5),
-            specular: (albedo: (0.2, 0.2, 0.2), roughness: 0.3), light: Ron(path: "light.ron"))),
-        light: Unknown(lobes: 4), passes: [Fit(name: "fit", steps: 2)])"#;
-    data.run(scene, "out", &["--quiet", "--force"]).refused(&["pass fit would replace"]);
 }

@@ -666,3 +666,12 @@ pub fn colmap_scene() -> String {
 pub fn usual() -> String {
     scene(&[FIT, NOVEL, SCORES].concat())
 }
+
+/// A scene with photographs of its own, taken under this light.
+pub fn photographed(passes: &str, light: &str) -> String {
+    let views = format!(
+        "Photographed(cameras: (count: 6, test: 2, size: 20), spp: 2, truth: (albedo: Constant(0.5, 0.3, 0.2), \
+         specular: (albedo: (0.3, 0.3, 0.3), roughness: 0.25), light: {light}))"
+    );
+    scene(passes).replace(r#"Dataset(path: "$DATA")"#, &views)
+}
