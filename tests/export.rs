@@ -1,7 +1,7 @@
 //! Exported files hold the object: read back, they give the same picture. `Save` and `Export` write it as an `Edit` or `Relight` pass
 //! shows it, if asked to.
 
-use crate::common::{Data, files_below, known_scene, write_image};
+use crate::common::{Data, changed, files_below, known_scene, write_image};
 use glam::Vec3;
 use lobelia::codec::exr_frame::{read_frame, write_channels};
 use lobelia::{
@@ -103,9 +103,8 @@ fn an_object_set_upright_is_lit_as_before() {
     // (x, y, z) to 2 (x, z, −y): what was at +Z is at +Y.
     let surface = r#"Mesh(path: "out/export/mesh.glb", texture_size: 64, own_material: true)"#;
     let again = with_up(&scene(surface, "", ""), "(0, 1, 0)");
-    let again = again
-        .replace("(1.6, 1.3, 1.9)", "(3.2, 3.8, -2.6)")
-        .replace("(-1.9, -1.2, -1.1)", "(-3.8, -2.2, 2.4)");
+    let again = changed(&again, "1.6, 1.3, 1.9", "3.2, 3.8, -2.6");
+    let again = changed(&again, "-1.9, -1.2, -1.1", "-3.8, -2.2, 2.4");
     let (start, end) = (again.find("Fixed(Lobes").unwrap(), again.find("])),").unwrap() + 4);
     for (file, convention) in [("light", "ThreeJs"), ("light_blender", "BlenderYUp")] {
         let map = format!("Map(path: \"out/export/{file}.hdr\", convention: {convention}, lobes: 12)");

@@ -20,23 +20,18 @@ fn scene_of(data: &Data, page: &str) -> Value {
     serde_json::from_str(after.split_once("</script>").unwrap().0).unwrap()
 }
 
-/// The names of those in a list of which this is true.
-fn names(scene: &Value, list: &str, is_wanted: impl Fn(&Value) -> bool) -> Vec<String> {
-    let wanted = scene[list].as_array().unwrap().iter().filter(|entry| is_wanted(entry));
-    wanted.map(|entry| entry["name"].as_str().unwrap().to_owned()).collect()
+fn name(entry: &Value) -> String {
+    entry["name"].as_str().unwrap().to_owned()
 }
 
-fn lights(scene: &Value) -> Vec<String> {
-    names(scene, "lights", |_| true)
-}
-
-fn cameras(scene: &Value) -> Vec<String> {
-    names(scene, "cameras", |_| true)
+fn names(scene: &Value, list: &str) -> Vec<String> {
+    scene[list].as_array().unwrap().iter().map(name).collect()
 }
 
 /// The views of a page that have photographs.
 fn with_photographs(scene: &Value) -> Vec<String> {
-    names(scene, "cameras", |view| !view["photograph"].is_null())
+    let views = scene["cameras"].as_array().unwrap().iter();
+    views.filter(|view| !view["photograph"].is_null()).map(name).collect()
 }
 
 #[test]
@@ -46,11 +41,11 @@ fn pages_offer_the_lights_and_cameras_of_the_scene() {
     assert_eq!(files_below(&data.path("out/view")), ["view.html"]);
     let plain = scene_of(&data, "out/view/view.html");
     assert!(with_photographs(&plain).is_empty(), "cameras alone");
-    assert_eq!(lights(&plain), ["found", "evening"]);
-    assert_eq!(cameras(&plain), ["a"]);
+    assert_eq!(names(&plain, "lights"), ["found", "evening"]);
+    assert_eq!(names(&plain, "cameras"), ["a"]);
     assert_eq!(plain["title"], "out");
     let shown = scene_of(&data, "out/shown/view.html");
-    assert_eq!(lights(&shown), ["evening", "found"]);
+    assert_eq!(names(&shown, "lights"), ["evening", "found"]);
     let shiny = scene_of(&data, "out/shiny/view.html");
     let roughness = |scene: &Value| scene["materials"][0]["roughness"].as_f64().unwrap();
     assert!((roughness(&shiny) - 0.1).abs() < 1e-6 && (roughness(&plain) - 0.3).abs() < 1e-6);
@@ -65,7 +60,7 @@ fn pages_offer_the_lights_and_cameras_of_the_scene() {
     let mut after = files_below(&data.path("out"));
     after.retain(|file| !before.contains(file));
     assert_eq!(after, ["view.html"]);
-    assert_eq!(lights(&scene_of(&data, "out/view.html")), ["found", "moon"]);
+    assert_eq!(names(&scene_of(&data, "out/view.html"), "lights"), ["found", "moon"]);
     data.write("out/view.html", "<p>my own page</p>");
     data.lobelia(&["view", "out"]).refused(&["view.html is not a page"]);
     assert_eq!(data.text("out/view.html"), "<p>my own page</p>");
@@ -78,7 +73,7 @@ fn pages_have_the_photographs_of_the_run_if_they_are_there_the_held_out_ones_fir
     data.run(&scene(passes), "out", &["--quiet"]).succeeded();
     let page = |name: &str| scene_of(&data, &format!("out/{name}/view.html"));
     let all = page("view");
-    assert_eq!(with_photographs(&all), cameras(&all));
+    assert_eq!(with_photographs(&all), names(&all, "cameras"));
     let few = page("few");
     let test = |view: &&Value| view["test"] == true && !view["photograph"].is_null();
     assert_eq!(with_photographs(&few).len(), 3);
@@ -100,7 +95,7 @@ fn pages_have_the_photographs_of_the_run_if_they_are_there_the_held_out_ones_fir
         let outcome = data.lobelia(&["view", "out", "--data", root]).succeeded();
         let said = outcome.stderr.matches("the page has neither photographs nor their cameras").count();
         assert_eq!(said, 1, "{}", outcome.stderr);
-        assert!(cameras(&page()).is_empty());
+        assert!(names(&page(), "cameras").is_empty());
     };
     std::fs::remove_file(data.path("train/image/rgb_000000.exr")).unwrap();
     without();

@@ -95,21 +95,13 @@ fn passes_are_scored_in_srgb_and_views_by_the_evaluation_that_scored_them() {
 fn outliers_are_those_of_the_picture_that_is_scored() {
     let data = Data::new();
     // The photographs are the object's own under a quarter of its light.
-    let scene = |scale: &str| {
-        let light = |scale: f32| format!(r#"Npy(path: "$DATA/evening.npy", scale: {scale})"#);
-        format!(
-            r#"Scene(version: 1, surface: Sphere(radius: 0.8, texture_size: 16),
-            views: Photographed(cameras: (count: 2, test: 1, size: 24), spp: 64, truth: (albedo: Constant(0.4, 0.4, 0.4),
-                specular: (albedo: (0.2, 0.2, 0.2), roughness: 0.3), light: {})),
-            light: Fixed({}),
-            material: (albedo: Fixed(Constant(0.4, 0.4, 0.4)), specular: (albedo: Fixed(0.2, 0.2, 0.2), roughness: Fixed(0.3))),
-            passes: [Render(name: "novel"), Evaluate(scores: [(pass: "novel", truth: Photographs, scale: {scale})])])"#,
-            light(0.25),
-            light(1.0)
-        )
-    };
+    let views = r#"Photographed(cameras: (count: 2, test: 1, size: 24), spp: 64, truth: (albedo: Constant(0.4, 0.4, 0.4),
+        specular: (albedo: (0.2, 0.2, 0.2), roughness: 0.3), light: Npy(path: "$DATA/evening.npy", scale: 0.25)))"#;
     for (scale, range) in [("None", 0.3..1.01), ("PerChannel", 0.0..0.1), ("PerLayer", 0.0..0.1)] {
-        data.run(&scene(scale), scale, &["--quiet"]).succeeded();
+        let passes =
+            format!(r#"{NOVEL}Evaluate(scores: [(pass: "novel", truth: Photographs, scale: {scale})])"#);
+        let scene = known_scene(&passes).replace(r#"Dataset(path: "$DATA")"#, views);
+        data.run(&scene, scale, &["--quiet"]).succeeded();
         let outliers: f64 = rows(&data, &format!("{scale}/scores/views.csv"))[0][6].parse().unwrap();
         assert!(range.contains(&outliers), "{scale}: {outliers}");
     }
