@@ -3,10 +3,8 @@
 //! `cargo run --release --example map_conventions` writes `out/examples/map_conventions.png`.
 
 use image::{Rgb, RgbImage, imageops};
-use lobelia::codec::png_file::write_rgb8;
-use lobelia::prelude::*;
 use lobelia::report::sheet::{draw_text, text_width};
-use lobelia::report::tone::srgb8;
+use lobelia::{codec::png_file::write_rgb8, prelude::*, report::tone::srgb8};
 
 const MAP: (u32, u32) = (360, 180);
 const MARGIN: u32 = 10;

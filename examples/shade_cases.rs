@@ -92,23 +92,11 @@ fn traced(case: &Case, stream: u64, paths: u32) -> Layers {
     let lobe = LightLobe { axis: vec(case.axis), sharpness, amplitude: vec(case.amplitude) };
     let light = LobeLight::new(&[lobe]);
     let specular = [Some(SpecularLobe::new(vec(case.specular), roughness))];
-    let scene = PathScene {
-        surface: &Empty,
-        light: &light,
-        albedo: &[],
-        sheen: &[],
-        tilt: &[],
-        blends: &[],
-        specular: &specular,
-    };
-    let normal = vec(case.normal);
-    let point = PathPoint {
-        position: Vec3::ZERO,
-        normal,
-        geometric_normal: normal,
-        albedo: vec(case.albedo),
-        blend: SpecularBlend::default().0,
-    };
+    let (surface, light, specular) = (&Empty, &light, &specular);
+    let scene = PathScene { surface, light, albedo: &[], sheen: &[], tilt: &[], blends: &[], specular };
+    let (position, normal, albedo) = (Vec3::ZERO, vec(case.normal), vec(case.albedo));
+    let blend = SpecularBlend::default().0;
+    let point = PathPoint { position, normal, geometric_normal: normal, albedo, blend };
     let query = PathQuery { point, to_viewer: vec(case.view), stream, first_sample: 0 };
     let settings = PathSettings { max_bounces: 1, seed: 1, ..Default::default() };
     let found = shade_point(&scene, &settings, &query, paths);

@@ -14,10 +14,8 @@ use lobelia::dataset::{DatasetOptions, PlannedView, open_dataset};
 use lobelia::glam::{EulerRot, Mat3, Quat, Vec3};
 use lobelia::view::Split;
 use serde_json::{Value, json};
-use std::error::Error;
-use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
+use std::{error::Error, fs, process::ExitCode};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -107,17 +105,12 @@ fn scene_of(orb: &Path, capture: &str, views: &[PlannedView], downscale: u32) ->
             continue;
         }
         let map = orb.join("ground_truth").join(&scene).join("env_map").join(file);
-        let turn = turn_of(view).to_array();
+        let ([x, y, z], name) = (turn_of(view).to_array(), view.name());
         relights += &format!(
-            "        Relight(name: \"relit_{name}\", light: Map(path: {map:?}, rotation_degrees: ({}, {}, {})), \
-             render: (views: Named([\"{name}\"]))),\n",
-            turn[0],
-            turn[1],
-            turn[2],
-            name = view.name(),
+            "        Relight(name: \"relit_{name}\", light: Map(path: {map:?}, rotation_degrees: ({x}, {y}, {z})), \
+             render: (views: Named([\"{name}\"]))),\n"
         );
-        scores +=
-            &format!("            (pass: \"relit_{}\", truth: Photographs, scale: PerView),\n", view.name());
+        scores += &format!("            (pass: \"relit_{name}\", truth: Photographs, scale: PerView),\n");
     }
     let novel = own.join(", ");
     Ok(format!(

@@ -8,8 +8,7 @@ mod reference;
 
 use crate::common::{Data, Outcome, command, files_below};
 use lobelia::scene::{LoadOptions, load};
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 /// Most words of the README.
 const README_WORDS: usize = 1200;
@@ -71,9 +70,8 @@ impl Page {
         let mut targets = Vec::new();
         for line in self.prose() {
             for (before, after) in [("](", ')'), ("src=\"", '"'), ("href=\"", '"'), ("srcset=\"", '"')] {
-                targets.extend(
-                    line.split(before).skip(1).map(|rest| rest.split(after).next().unwrap().to_owned()),
-                );
+                let parts = line.split(before).skip(1).filter_map(|rest| rest.split(after).next());
+                targets.extend(parts.map(str::to_owned));
             }
         }
         targets
@@ -105,9 +103,7 @@ fn ron_blocks_load() {
     assert!(blocks.len() > 10, "only {} RON blocks were found", blocks.len());
     for (place, block) in blocks {
         for scene in scenes_of(&block) {
-            if let Err(error) = try_load(&scene) {
-                panic!("{place}: {error}\n{scene}");
-            }
+            try_load(&scene).unwrap_or_else(|error| panic!("{place}: {error}\n{scene}"));
         }
     }
     assert!(try_load(&wrapped("scale: WhiteLight")).is_ok() && try_load(&wrapped("scale: Whiter")).is_err());
@@ -183,9 +179,7 @@ fn commands_in_sh_blocks_exist() {
     for (place, block) in pages().iter().flat_map(|page| page.blocks("sh")) {
         for line in block.replace("\\\n", " ").lines() {
             count += 1;
-            if let Err(problem) = check_command(line) {
-                panic!("{place}: {problem}: {line}");
-            }
+            check_command(line).unwrap_or_else(|problem| panic!("{place}: {problem}: {line}"));
         }
     }
     assert!(count > 10, "only {count} commands were found");
@@ -210,21 +204,18 @@ fn check_command(line: &str) -> Result<(), String> {
         }
         _ => &[],
     };
-    if arguments.is_empty() {
-        return Ok(());
-    }
-    let depth = if arguments[0] == "env" { 2 } else { 1 };
+    let Some(first) = arguments.first() else { return Ok(()) };
+    let depth = if *first == "env" { 2 } else { 1 };
     let known = flags(&help(&arguments[..depth.min(arguments.len())])?);
     for flag in arguments.iter().filter(|word| word.starts_with("--")) {
         let flag = flag.split('=').next().unwrap_or(flag);
         known.get(flag).ok_or(format!("there is no {flag}"))?;
     }
     // Values of `--set` fit the scene.
-    let pairs =
-        arguments.windows(2).filter(|pair| pair[0] == "--set").filter_map(|pair| pair[1].split_once('='));
-    let sets: Vec<(String, String)> =
-        pairs.map(|(path, value)| (path.to_owned(), value.to_owned())).collect();
-    if let (Some(scene), false) = (scene, sets.is_empty()) {
+    let values = arguments.windows(2).filter(|pair| pair[0] == "--set").map(|pair| pair[1]);
+    let pairs = values.filter_map(|value| value.split_once('='));
+    let sets = pairs.map(|(path, value)| (path.to_owned(), value.to_owned())).collect();
+    if let Some(scene) = scene {
         let options = LoadOptions { sets, without_data: true, ..LoadOptions::default() };
         load(&repository().join(scene), &options).map_err(|error| error.to_string())?;
     }
@@ -249,12 +240,9 @@ fn commands_below(words: &[&str]) -> Vec<String> {
 /// The flags that a help text describes.
 fn flags(help: &str) -> BTreeSet<String> {
     let described = help.lines().map(str::trim_start).filter(|line| line.starts_with('-'));
-    let words =
-        described.flat_map(|line| line.split([' ', ',', '=', '['])).filter(|word| word.starts_with("--"));
-    words
-        .map(|word| word.trim_end_matches([';', '.', ':']).to_owned())
-        .filter(|flag| flag != "--help")
-        .collect()
+    let words = described.flat_map(|line| line.split([' ', ',', '=', '[']));
+    let flags = words.map(|word| word.trim_end_matches([';', '.', ':']));
+    flags.filter(|flag| flag.starts_with("--") && *flag != "--help").map(str::to_owned).collect()
 }
 
 /// Every command has a section in the command-line reference that names its flags, and no others.
@@ -272,8 +260,7 @@ fn command_line_reference_is_complete() {
         let heading = format!("## `lobelia {command}`\n");
         let section = text.split(&heading).nth(1).unwrap_or_else(|| panic!("no section {heading}"));
         // A row of the table of flags begins with the flag.
-        let rows =
-            section.split("\n## ").next().unwrap().lines().filter_map(|line| line.strip_prefix("| `--"));
+        let rows = section.split("\n## ").next().unwrap().lines().filter_map(|row| row.strip_prefix("| `--"));
         let named = rows.map(|row| format!("--{}", row.split([' ', '`']).next().unwrap())).collect();
         let known = flags(&help(&command.split(' ').collect::<Vec<_>>()).unwrap());
         assert_eq!(known, named, "flags of `lobelia {command}`: in the help, in docs/src/command-line.md");
@@ -295,9 +282,8 @@ fn every_link_leads_somewhere() {
     let pages = pages();
     for page in &pages {
         for target in page.targets().iter().filter(|target| !target.contains("://")) {
-            if let Err(problem) = follow(page, target, &pages) {
-                panic!("{}: {target}: {problem}", page.path);
-            }
+            let followed = follow(page, target, &pages);
+            followed.unwrap_or_else(|problem| panic!("{}: {target}: {problem}", page.path));
         }
     }
 }
@@ -336,8 +322,7 @@ fn lists_are_complete() {
         let page = Page { path: file.to_owned(), text: read(file) };
         let targets = page.targets();
         let below = if file == "README.md" { format!("{folder}/") } else { String::new() };
-        let listed: BTreeSet<&str> =
-            targets.iter().filter_map(|target| target.strip_prefix(&below)).collect();
+        let listed: BTreeSet<&str> = targets.iter().filter_map(|file| file.strip_prefix(&below)).collect();
         let entries = std::fs::read_dir(repository().join(folder)).unwrap();
         let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
         let there: BTreeSet<String> = names
@@ -374,8 +359,7 @@ fn licenses_of_all_dependencies_are_listed() {
     let locked: BTreeSet<&str> = packages.map(|package| package.split('"').nth(1).unwrap()).collect();
     let rows = page.lines().filter(|line| line.starts_with("| ") && line.contains('`'));
     let listed: BTreeSet<&str> = rows.flat_map(|row| row.split('`').skip(1).step_by(2)).collect();
-    let [missing, gone]: [Vec<&&str>; 2] =
-        [locked.difference(&listed).collect(), listed.difference(&locked).collect()];
+    let [missing, gone] = [locked.difference(&listed), listed.difference(&locked)].map(Vec::from_iter);
     assert!(missing.is_empty(), "docs/licenses.md lacks {missing:?}: `cargo metadata` says their licenses");
     assert!(gone.is_empty() && locked.len() > 100, "docs/licenses.md has {gone:?}, which Cargo.lock has not");
 }

@@ -1,17 +1,16 @@
 //! Steps of a fit that are not finite: traced, taken back, and without any trace in what is found.
 
-use crate::common::{RADIUS, camera, day, photograph, studio};
+use crate::common::{RADIUS, column, day, photographs_of, studio};
 use lobelia::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns};
 use lobelia::fit::components::{
     AlbedoGradient, AlbedoMoments, LobeMoments, SpecularMoments, StepRates, Unknowns,
 };
 use lobelia::fit::exposure::{ExposureChoice, Exposures};
 use lobelia::fit::guard::{StepGuard, check_adjoints};
-use lobelia::fit::scale::ScaleMoments;
 use lobelia::fit::sheen::{SheenGradient, SheenMoments};
-use lobelia::prelude::*;
 use lobelia::sg::shading::{Layers, PointAdjoint};
 use lobelia::shape::vertices::{VertexIndex, VertexPlugin, VertexPosition};
+use lobelia::{fit::scale::ScaleMoments, prelude::*};
 use std::ops::{ControlFlow, Range};
 
 /// Value that is made NaN in some steps of a fit.
@@ -33,47 +32,30 @@ struct Poison {
     place: Place,
 }
 
-impl Poison {
-    fn is_due(&self, place: Place, rates: &StepRates) -> bool {
-        self.place == place && self.steps.contains(&rates.step)
-    }
+/// Whether this is a step in which this value is to be NaN.
+fn is_due(place: Place) -> impl Fn(Res<Poison>, Res<StepRates>) -> bool + Clone {
+    move |poison, rates| poison.place == place && poison.steps.contains(&rates.step)
 }
 
-fn poison_radiance<const PLACE: usize>(
-    poison: Res<Poison>,
-    rates: Res<StepRates>,
-    samples: Samples<&mut Layers>,
-) -> SystemResult {
-    if poison.is_due([Place::Radiance, Place::Cameras][PLACE], &rates) {
-        samples.columns()?.iter_mut().for_each(|layers| layers.specular[1] = f32::NAN);
-    }
+fn poison_radiance(samples: Samples<&mut Layers>) -> SystemResult {
+    samples.columns()?.iter_mut().for_each(|layers| layers.specular[1] = f32::NAN);
     Ok(())
 }
 
-fn poison_adjoints<const PLACE: usize>(
-    poison: Res<Poison>,
-    rates: Res<StepRates>,
-    samples: Samples<&mut PointAdjoint>,
-) -> SystemResult {
-    if poison.is_due([Place::Adjoint, Place::Vertices][PLACE], &rates) {
-        let mut back = samples.columns()?;
-        (back[3].albedo[1], back[5].normal[1]) = (f32::NAN, f32::NAN);
-    }
+fn poison_adjoints(samples: Samples<&mut PointAdjoint>) -> SystemResult {
+    let mut back = samples.columns()?;
+    (back[3].albedo[1], back[5].normal[1]) = (f32::NAN, f32::NAN);
     Ok(())
 }
 
 /// All that a fit moves or sums from step to step, in words.
 fn state(world: &mut World) -> String {
-    let texels = (
-        read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap(),
-        read_column::<TexelIndex, AlbedoGradient>(world).unwrap(),
-        read_column::<TexelIndex, AlbedoMoments>(world).unwrap(),
-        read_column::<TexelIndex, DiffuseSheen>(world).unwrap(),
-        read_column::<TexelIndex, SheenGradient>(world).unwrap(),
-        read_column::<TexelIndex, SheenMoments>(world).unwrap(),
-    );
+    let albedo: (Vec<DiffuseAlbedo>, Vec<AlbedoGradient>, Vec<AlbedoMoments>) =
+        (column(world), column(world), column(world));
+    let sheen: (Vec<DiffuseSheen>, Vec<SheenGradient>, Vec<SheenMoments>) =
+        (column(world), column(world), column(world));
     let lights: Vec<_> = world.query::<(&LightLobe, &LobeMoments)>().iter(world).collect();
-    let mut words = format!("{texels:?} {lights:?}");
+    let mut words = format!("{albedo:?} {sheen:?} {lights:?}");
     let gloss: Vec<_> = world.query::<(&SpecularLobe, &SpecularMoments)>().iter(world).collect();
     words += &format!("{gloss:?} {:?} {:?}", world.resource::<ScaleMoments>(), world.resource::<Exposures>());
     words
@@ -88,23 +70,21 @@ fn poisoned_fit(
     let mut truth = studio(&day());
     let mut pipeline = studio(&LightLobe::even(16));
     pipeline.add_plugin(&FitPlugin);
-    let view = photograph(&mut truth, camera([0.1, 0.2, 1.0], 24), |_| ());
-    spawn_views(&mut pipeline.world, vec![view]);
+    spawn_views(&mut pipeline.world, photographs_of(&mut truth, 1, 24, |_, _| ()));
     prepare(&mut pipeline);
     pipeline.world.insert_resource(poison);
-    let late = poison_adjoints::<1>.after(ScatterAdjoints).before(Slot::ShapeGradient);
+    let radiance = |place| poison_radiance.run_if(is_due(place));
+    let adjoints = |place| poison_adjoints.run_if(is_due(place));
     pipeline
-        .add_systems(Phase::FitStep, Stage::Shade, poison_radiance::<0>.after(Slot::Shading))
+        .add_systems(Phase::FitStep, Stage::Shade, radiance(Place::Radiance).after(Slot::Shading))
         .add_systems(
             Phase::FitStep,
             Stage::Gradient,
-            poison_adjoints::<0>.after(Slot::ShadingAdjoint).before(check_adjoints),
-        )
-        .add_systems(Phase::FitStep, Stage::Gradient, late)
-        .add_systems(
-            Phase::FitStep,
-            Stage::Gradient,
-            poison_radiance::<1>.after(Slot::ShapeGradient).before(Slot::CameraGradient),
+            (
+                adjoints(Place::Adjoint).after(Slot::ShadingAdjoint).before(check_adjoints),
+                adjoints(Place::Vertices).after(ScatterAdjoints).before(Slot::ShapeGradient),
+                radiance(Place::Cameras).after(Slot::ShapeGradient).before(Slot::CameraGradient),
+            ),
         );
     let mut states = Vec::new();
     let summary = run_fit(&mut pipeline, options, &mut |_, world| {
@@ -116,38 +96,34 @@ fn poisoned_fit(
     (pipeline, summary, states)
 }
 
-/// A fit of which steps `from` to `to` are poisoned.
-fn poisoned(from: u32, to: u32) -> (Pipeline, Result<FitSummary>) {
-    let options = FitOptions { steps: 40, batch: 64, ..FitOptions::default() };
-    let poison = Poison { steps: from..to, place: Place::Radiance };
-    let (pipeline, summary, _) = poisoned_fit(poison, &options, |_| ());
-    (pipeline, summary)
-}
-
 #[test]
 fn a_step_that_is_not_finite_is_taken_back_and_counted() {
-    let (mut pipeline, summary) = poisoned(10, 14);
+    let fit = |steps: Range<u32>| {
+        let options = FitOptions { steps: 40, batch: 64, ..FitOptions::default() };
+        poisoned_fit(Poison { steps, place: Place::Radiance }, &options, |_| ())
+    };
+    let (mut pipeline, summary, _) = fit(10..14);
     assert_eq!(summary.unwrap().steps, 40);
     let guard = pipeline.world.resource::<StepGuard>();
     assert_eq!(guard.taken_back, 4);
     let first = guard.first.clone().unwrap();
     assert!(first.starts_with("step 10: the radiance is not finite at view front, pixel ("), "{first}");
     let world = &mut pipeline.world;
-    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap();
+    let albedo = column::<DiffuseAlbedo>(world);
     assert!(albedo.iter().all(|albedo| albedo.0.is_finite()));
     assert!(world.query::<&LightLobe>().iter(world).all(|lobe| lobe.amplitude.is_finite()));
+    // A fit of which no step is finite ends with the place.
+    let error = fit(5..99).1.unwrap_err().to_string();
+    for word in ["fit, step 14", "10 steps in a row", "at view front, pixel (", "no parameter"] {
+        assert!(error.contains(word), "no {word:?} in {error}");
+    }
 }
 
 #[test]
 fn the_steps_that_are_taken_back_change_nothing_else() {
     let unknowns = Unknowns { sheen: true, ..Unknowns::default() };
-    let options = FitOptions {
-        steps: 24,
-        batch: 64,
-        unknowns,
-        exposure: ExposureChoice::Color,
-        ..FitOptions::default()
-    };
+    let exposure = ExposureChoice::Color;
+    let options = FitOptions { steps: 24, batch: 64, unknowns, exposure, ..FitOptions::default() };
     let states = |place: Place, steps: Range<u32>| {
         let (pipeline, summary, states) = poisoned_fit(Poison { steps, place }, &options, |_| ());
         summary.unwrap();
@@ -155,16 +131,14 @@ fn the_steps_that_are_taken_back_change_nothing_else() {
     };
     let (sound, none) = states(Place::Radiance, 99..99);
     assert!(none == 0 && sound.windows(2).all(|pair| pair[0] != pair[1]), "every step changes something");
-    for place in [Place::Radiance, Place::Adjoint] {
-        let (found, taken_back) = states(place, 10..14);
-        assert_eq!(taken_back, 4);
-        // Step n is number n − 1.
-        assert!(found[..9] == sound[..9], "{place:?}: before");
-        assert!((9..13).all(|step| found[step] == found[8]), "{place:?}: during");
-        assert!(found[13..].windows(2).all(|pair| pair[0] != pair[1]), "{place:?}: the fit goes on");
-    }
     // Wherever a step fails, what follows is the same.
-    assert!(states(Place::Radiance, 10..14).0 == states(Place::Adjoint, 10..14).0);
+    let [found, other] = [Place::Radiance, Place::Adjoint].map(|place| states(place, 10..14));
+    assert!(found == other && found.1 == 4);
+    let found = found.0;
+    // Step n is number n − 1.
+    assert!(found[..9] == sound[..9], "before");
+    assert!((9..13).all(|step| found[step] == found[8]), "during");
+    assert!(found[13..].windows(2).all(|pair| pair[0] != pair[1]), "the fit goes on");
 }
 
 #[test]
@@ -186,23 +160,11 @@ fn steps_of_vertices_and_cameras_that_are_not_finite_are_taken_back() {
     let fit_of_cameras = pipeline.world.resource::<CameraFit>();
     assert!(fit_of_cameras.noise.iter().all(|noise| noise.is_finite()));
     let (first, mut pipeline) = fit(Place::Vertices, &|pipeline| {
-        let surface = Surface::new(sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), 32).unwrap();
-        _ = pipeline.add_plugin(&VertexPlugin {
-            surface: Arc::new(surface),
-            steps: 110,
-            silhouettes: Arc::default(),
-        });
+        let surface = Arc::new(Surface::new(sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), 32).unwrap());
+        _ = pipeline.add_plugin(&VertexPlugin { surface, steps: 110, silhouettes: Arc::default() });
     });
     assert!(first.contains("step 60: the gradient is not finite, by vertex "), "{first}");
     let positions = read_column::<VertexIndex, VertexPosition>(&mut pipeline.world).unwrap();
     assert!(positions.iter().all(|position| position.0.is_finite()));
     assert!(positions.iter().any(|position| (position.0.length() - RADIUS).abs() > 1e-6), "they move");
-}
-
-#[test]
-fn a_fit_of_which_no_step_is_finite_ends_with_the_place() {
-    let error = poisoned(5, 99).1.unwrap_err().to_string();
-    for word in ["fit, step 14", "10 steps in a row", "at view front, pixel (", "no parameter"] {
-        assert!(error.contains(word), "no {word:?} in {error}");
-    }
 }

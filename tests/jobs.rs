@@ -1,10 +1,9 @@
 //! Scripts that run many objects, the table of what these have come to, and events for programs (`lobelia run --log json`).
 
-use crate::common::{Data, GRAY_SPHERE, Outcome, command, is_installed, scene};
+use crate::common::{Data, GRAY_SPHERE, Outcome, is_installed, scene, skipped};
 use serde_json::Value;
-use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::{fs, process::Command};
 
 /// Two objects, `jug` and `vase`, in the folder `photos`.
 fn objects() -> Data {
@@ -34,6 +33,16 @@ fn engine(data: &Data, program: &str) -> Command {
 fn has_run(data: &Data, jug: bool, vase: bool) {
     let there = ["jug", "vase"].map(|name| data.path(format!("out/{name}/still/a.png")).exists());
     assert_eq!(there, [jug, vase]);
+}
+
+/// Runs a script of the examples with the folders of objects and of results; expects that it runs one object, or both.
+#[track_caller]
+fn runs(program: &str, arguments: &[&str], script: &str, variable: Option<(&str, &str)>, both: bool) {
+    let data = objects();
+    let mut command = engine(&data, program);
+    command.args(arguments).arg(example(script)).args(["photos", "out"]).envs(variable);
+    Outcome::of(&mut command).succeeded();
+    has_run(&data, both, true);
 }
 
 #[test]
@@ -68,89 +77,61 @@ fn a_pod_of_the_indexed_job_runs_its_object() {
     let data = objects();
     let text = fs::read_to_string(example("kubernetes.yaml")).unwrap();
     let lines = text.lines().skip_while(|line| line.trim() != "- |").skip(1);
-    let script: String =
-        lines.map_while(|line| line.strip_prefix("              ")).map(|line| format!("{line}\n")).collect();
+    let script: Vec<&str> = lines.map_while(|line| line.strip_prefix("              ")).collect();
     let mut pod = engine(&data, "/bin/sh");
-    Outcome::of(pod.args(["-ec", &script]).env("JOB_COMPLETION_INDEX", "1")).succeeded();
+    Outcome::of(pod.args(["-ec", &script.join("\n")]).env("JOB_COMPLETION_INDEX", "1")).succeeded();
     has_run(&data, false, true);
 }
 
 #[test]
 fn ray_tasks_run_all_objects() {
     let ray = Command::new("python3").args(["-c", "import ray"]).output();
-    if !ray.is_ok_and(|ray| ray.status.success()) {
-        crate::common::skipped("Ray is not installed");
-        return;
+    if ray.is_ok_and(|ray| ray.status.success()) {
+        runs("python3", &["-B"], "ray_objects.py", None, true);
+    } else {
+        skipped("Ray is not installed");
     }
-    let data = objects();
-    let mut python = engine(&data, "python3");
-    Outcome::of(python.arg("-B").arg(example("ray_objects.py")).args(["photos", "out"])).succeeded();
-    has_run(&data, true, true);
 }
 
 #[cfg(unix)]
 #[test]
-fn a_task_of_an_array_runs_its_object() {
-    if !is_installed("bash") {
-        return;
+fn a_slurm_array_runs_all_objects_and_a_task_its_own() {
+    if is_installed("bash") {
+        runs("bash", &[], "slurm.sh", Some(("SLURM_ARRAY_TASK_ID", "2")), false);
     }
-    let data = objects();
-    let mut task = engine(&data, "bash");
-    task.arg(example("slurm.sh")).args(["photos", "out"]).env("SLURM_ARRAY_TASK_ID", "2");
-    Outcome::of(&mut task).succeeded();
-    has_run(&data, false, true);
-}
-
-#[test]
-fn a_slurm_array_runs_all_objects() {
-    if !is_installed("sbatch") {
-        return;
+    if is_installed("sbatch") {
+        let array = ["--wait", "--array=1-2", "--mem=300M", "--cpus-per-task=1", "--time=5"];
+        runs("sbatch", &array, "slurm.sh", None, true);
     }
-    let data = objects();
-    let mut array = engine(&data, "sbatch");
-    array.args(["--wait", "--array=1-2", "--mem=300M", "--cpus-per-task=1", "--time=5"]);
-    Outcome::of(array.arg(example("slurm.sh")).args(["photos", "out"])).succeeded();
-    has_run(&data, true, true);
 }
 
 #[test]
 fn runs_are_set_side_by_side() {
     let data = objects();
-    let scene = data.path("photos/vase/scene.ron");
-    Outcome::of(command(&["run", "--quiet"]).arg(scene).arg("--out").arg(data.path("out/vase"))).succeeded();
-    let report = |options: &[&str]| {
-        let mut report = command(&["report"]);
-        report.args(["out/jug", "out/vase"]).args(options).current_dir(data.root());
-        Outcome::of(&mut report).succeeded().stdout
-    };
-    let csv = report(&["--csv"]);
+    data.lobelia(&["run", "photos/vase/scene.ron", "--out", "out/vase", "--quiet"]).succeeded();
+    let csv = data.lobelia(&["report", "out/jug", "out/vase", "--csv"]).succeeded().stdout;
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(lines[..2], ["run,state,seconds,memory_mib", "jug,no run,,"], "{csv}");
     assert!(lines[2].starts_with("vase,finished,"), "{csv}");
-    assert!(report(&[]).contains("finished"));
-    let gone = Outcome::of(&mut command(&["list", "objects.csv"]));
-    gone.refused(&["--resume"]);
-}
-
-fn events(outcome: &Outcome) -> Vec<Value> {
-    outcome.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    assert!(data.lobelia(&["report", "out/jug", "out/vase"]).succeeded().stdout.contains("finished"));
+    data.lobelia(&["list", "objects.csv"]).refused(&["--resume"]);
 }
 
 #[test]
 fn every_line_is_an_event_and_the_last_says_how_it_ended() {
     let data = Data::new();
     let text = scene(r#"Fit(name: "fit", steps: 10, batch: 256), Render(name: "novel"), Save(),"#);
-    let events = events(&data.run(&text, "out", &["--log", "json"]).succeeded());
+    let said = data.run(&text, "out", &["--log", "json"]).succeeded().stdout;
+    let events: Vec<Value> = said.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let of = |kind: &str| events.iter().filter(|event| event["event"] == kind).collect::<Vec<_>>();
     let passes: Vec<&str> = of("pass").iter().map(|pass| pass["name"].as_str().unwrap()).collect();
     assert_eq!(passes, ["fit", "novel", "saved"]);
     assert!(of("pass").iter().all(|pass| pass["count"] == 3));
-    assert!(
-        of("stage").iter().any(|stage| stage["title"] == "photographs" && stage["length"].as_u64() > Some(0))
-    );
+    let stages = of("stage");
+    assert!(stages.iter().any(|of| of["title"] == "photographs" && of["length"].as_u64() > Some(0)));
     assert!(of("progress").iter().any(|at| at["title"] == "fit" && at["message"] == "first guess"));
     assert!(of("progress").iter().all(|at| at["length"] == 0 || at["message"] != "first guess"));
-    assert_eq!(of("stage").len(), of("done").len(), "every task that begins ends");
+    assert_eq!(stages.len(), of("done").len(), "every task that begins ends");
     assert!(of("done").iter().any(|task| task["title"] == "fit" && task["done"] == 10));
     assert!(of("result").iter().any(|line| line["text"].as_str().unwrap().contains("10 steps")));
     let steps = of("step");
@@ -161,17 +142,11 @@ fn every_line_is_an_event_and_the_last_says_how_it_ended() {
     let ended = of("ended");
     assert!(ended.len() == 1 && ended[0]["state"] == "finished" && ended[0]["error"].is_null(), "{ended:?}");
     assert_eq!(ended[0], events.last().unwrap());
-}
-
-#[test]
-fn what_fails_before_the_first_pass_is_an_event_too() {
-    let data = Data::new();
-    let outcome = data.run("Scene(version: 1)", "out", &["--log", "json"]);
-    assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
-    let events = events(&outcome);
-    assert!(events.len() == 1 && events[0]["state"] == "failed", "{events:?}");
-    assert!(events[0]["error"].as_str().unwrap().contains("scene.ron"), "{events:?}");
-    assert!(outcome.stderr.starts_with("error: "), "{}", outcome.stderr);
+    // What fails before the first pass is an event, too.
+    let outcome = data.run("Scene(version: 1)", "failed", &["--log", "json"]);
+    outcome.refused(&[]);
+    let ended: Value = serde_json::from_str(&outcome.stdout).expect("one event");
+    assert!(ended["state"] == "failed" && ended["error"].as_str().unwrap().contains("scene.ron"), "{ended}");
     let both = data.run(&scene("Save(),"), "out", &["--log", "json", "--quiet"]);
     assert_eq!(both.code, Some(2), "{}", both.stderr);
 }

@@ -2,12 +2,12 @@
 //! light stands still, turns of the object between rounds of photographs, lights of several rooms;
 //! and maps of the user's own that help it.
 
-use crate::common::{Data, RADIUS, SIZE, TRAIN, camera, day, scene, shoot, studio, write_image};
-use glam::{EulerRot, Quat, Vec3};
-use lobelia::codec::gltf::export::write_glb;
+use crate::common::*;
+use glam::{EulerRot, Quat};
 use lobelia::codec::npy::{NpyConvention, read_lobes};
-use lobelia::light::lobes_radiance;
-use lobelia::mesh::primitive::sphere_mesh;
+use lobelia::{
+    codec::exr_frame::read_frame, codec::gltf::export::write_glb, light::lobes_radiance, prelude::*,
+};
 use serde_json::Value;
 
 /// A ball of two colors under one lamp at the side and a sky.
@@ -39,80 +39,64 @@ const SCENE: &str = r#"Scene(
 )
 "#;
 
-/// The scene with these words about what is true and what is assumed.
-fn lamp(truth: &str, assumed: &str) -> String {
-    SCENE.replace("TRUTH", truth).replace("ASSUMED", assumed)
+/// The scene with these words about what is true and what is assumed, and with other words replaced.
+pub fn lamp(truth: &str, assumed: &str, words: &[(&str, &str)]) -> String {
+    let text = words.iter().fold(SCENE.to_owned(), |text, (word, by)| changed(&text, word, by));
+    text.replace("TRUTH", truth).replace("ASSUMED", assumed)
 }
+
+/// Runs it into `out`, in place of what was there.
+fn fit(data: &Data, scene: &str) {
+    data.run(scene, "out", &["--quiet", "--force"]).succeeded();
+}
+
+const FIT: &str = r#"Fit(name: "fit", steps: 60, batch: 512), "#;
 
 fn numbers(list: &Value) -> [f64; 3] {
     [0, 1, 2].map(|c| list[c].as_f64().unwrap())
 }
 
-/// A reddish sphere in bluish light; both unknown.
-const REDDISH: &str = r#"Scene(
-    version: 1,
-    surface: Sphere(radius: 0.9, texture_size: 32),
-    scale: SCALE,
-    views: Photographed(
-        cameras: (count: 16, test: 1, size: 48),
-        spp: 32,
-        max_bounces: 1,
-        truth: (
-            albedo: Constant(0.6, 0.35, 0.25),
-            specular: (albedo: (0.3, 0.3, 0.3), roughness: 0.3),
-            light: Lobes(lobes: [
-                (axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.4, 0.45, 0.6)),
-                (axis: (0.5, 0.6, 0.62), sharpness: 40, amplitude: (5, 6, 8)),
-                (axis: (-0.8, 0.3, -0.3), sharpness: 30, amplitude: (2.5, 3, 4)),
-            ]),
-        ),
+/// A reddish sphere in bluish light.
+const REDDISH: [(&str, &str); 4] = [
+    ("texture_size: 48", "texture_size: 32"),
+    ("Waves(colors: ((0.7, 0.3, 0.2), (0.2, 0.35, 0.6)), size: 0.9)", "Constant(0.6, 0.35, 0.25)"),
+    ("amplitude: (0.4, 0.4, 0.4)", "amplitude: (0.4, 0.45, 0.6)"),
+    (
+        "(axis: (0.8, 0.5, 0.4), sharpness: 20, amplitude: (4, 4, 4))",
+        "(axis: (0.5, 0.6, 0.62), sharpness: 40, amplitude: (5, 6, 8)),
+                (axis: (-0.8, 0.3, -0.3), sharpness: 30, amplitude: (2.5, 3, 4))",
     ),
-    light: Unknown(lobes: 32),
-    passes: [Fit(name: "fit", steps: STEPS, batch: 2048)],
-)
-"#;
+];
 
 #[test]
 fn rules_hold_what_they_say_and_highlights_find_the_color() {
     let data = Data::bare();
     // Mean light and mean albedo that a fit ends with.
     let means = |scale: &str, steps: &str| {
-        let text = REDDISH.replace("SCALE", scale).replace("STEPS", steps);
-        data.run(&text, "out", &["--quiet", "--force"]).succeeded();
+        let words = [&REDDISH[..], &[("test: 3", "test: 1"), ("steps: 250", steps)]].concat();
+        fit(&data, &lamp("", &format!("scale: {scale},"), &words));
         assert!(data.text("out/fit/materials.ron").contains("Scale "));
         let metrics = data.metrics("out");
         ["mean_light", "mean_albedo"].map(|name| numbers(&metrics["scale"][name]))
     };
     // What a rule fixes needs no long fit.
-    let [light, _] = means("WhiteLight", "100");
+    let [light, _] = means("WhiteLight", "steps: 100");
     assert!((light[0] / light[2] - 1.0).abs() < 1e-3, "{light:?}");
-    let [_, albedo] = means("MeanAlbedo(0.5, 0.3, 0.2)", "100");
+    let [_, albedo] = means("MeanAlbedo(0.5, 0.3, 0.2)", "steps: 100");
     assert!((albedo[0] - 0.5).abs() < 1e-2 && (albedo[2] - 0.2).abs() < 1e-2, "{albedo:?}");
     // The truth: red over blue is 2.4 in the albedo.
     let [free, highlights] = ["Free", "Highlights()"].map(|scale| {
-        let [_, albedo] = means(scale, "300");
+        let [_, albedo] = means(scale, "steps: 300");
         (albedo[0] / albedo[2] / 2.4).ln().abs()
     });
     assert!(highlights < 0.75 * free, "{highlights} {free}");
 }
 
 #[test]
-fn words_about_the_light_that_cannot_be_are_refused() {
-    let data = Data::bare();
-    for (assumed, words) in [
-        ("scale: MeanAlbedo(0.5, 0, 0.2),", ["scale", "above 0"]),
-        ("scale: Highlights(white_light: -1),", ["scale", "0 or more"]),
-        ("light_frame: Turntable(0, 0, 0),", ["light_frame", "light_frame"]),
-    ] {
-        data.check(&lamp("", assumed)).refused(&words);
-    }
-}
-
-#[test]
 fn the_frame_of_the_light_is_found_and_saved() {
     let data = Data::bare();
     for frame in ["World", "Camera", "Turntable(0, 1, 0)"] {
-        data.run(&lamp(&format!("light_frame: {frame},"), ""), "out", &["--quiet", "--force"]).succeeded();
+        fit(&data, &lamp(&format!("light_frame: {frame},"), "", &[]));
         let kind = frame.split('(').next().unwrap();
         let found = data.metrics("out")["light_frame"].as_str().unwrap().to_owned();
         assert!(found.starts_with(kind), "{frame}: {found}");
@@ -128,8 +112,8 @@ fn the_specular_lobe_starts_as_the_surface_looks() {
     let data = Data::bare();
     // Specular albedo and roughness after one step.
     let start = |lobe: &str| {
-        let text = lamp("", "").replace("albedo: (0.3, 0.3, 0.3), roughness: 0.3", lobe);
-        data.run(&text.replace("steps: 250", "steps: 1"), "out", &["--quiet", "--force"]).succeeded();
+        let words = [("albedo: (0.3, 0.3, 0.3), roughness: 0.3", lobe), ("steps: 250", "steps: 1")];
+        fit(&data, &lamp("", "", &words));
         let found = data.text("out/fit/materials.ron");
         ["(albedo: (", "roughness: "].map(|word| -> f64 {
             let (_, after) = found.split_once(word).unwrap();
@@ -154,8 +138,7 @@ fn two_rounds(truth: &str) -> String {
         ("amplitude: (4, 4, 4)", "amplitude: (4, 4, 3)"),
         ("steps: 250", "steps: 300"),
     ];
-    let text = words.iter().fold(SCENE.to_owned(), |text, (word, by)| text.replace(word, by));
-    text.replace("TRUTH", truth).replace("ASSUMED", "")
+    lamp(truth, "", &words)
 }
 
 fn turn(degrees: [f64; 3]) -> Quat {
@@ -166,8 +149,8 @@ fn turn(degrees: [f64; 3]) -> Quat {
 #[test]
 fn an_object_that_was_turned_over_is_found_to_be() {
     let data = Data::bare();
-    let run = data.run(&two_rounds("placements: [(100, 20, 0)],"), "out", &[]).succeeded();
-    assert!(run.stdout.contains("`round 2` shows the object turned by"), "{}", run.stdout);
+    let said = data.run(&two_rounds("placements: [(100, 20, 0)],"), "out", &[]).succeeded().stdout;
+    assert!(said.contains("`round 2` shows the object turned by"), "{said}");
     let found = turn(numbers(&data.metrics("out")["placements"][0]["turned_degrees"]));
     let apart = found.angle_between(turn([100.0, 20.0, 0.0])).to_degrees();
     assert!(apart < 2.0, "{apart}°");
@@ -184,9 +167,7 @@ const OTHER_LIGHT: &str = r#"
 #[test]
 fn photographs_of_two_rooms_have_two_lights_and_one_albedo() {
     let data = Data::bare();
-    let scene =
-        two_rounds(OTHER_LIGHT).replace("truth: Photographs)]", "truth: Photographs)], albedo: SelfMade");
-    data.run(&scene, "out", &["--quiet"]).succeeded();
+    fit(&data, &changed(&two_rounds(OTHER_LIGHT), "Photographs)]", "Photographs)], albedo: SelfMade"));
     // Radiance toward both lamps.
     let [own, other] = ["light.npy", "light_2.npy"].map(|file| {
         let lobes = read_lobes(data.path("out/fit").join(file), NpyConvention::Lobelia).unwrap();
@@ -202,27 +183,22 @@ fn photographs_of_two_rooms_have_two_lights_and_one_albedo() {
     assert!(data.text("out/report.html").contains("recovered light 2"));
 }
 
+/// A scene with these words about its photographs.
+fn with_views(passes: &str, words: &str) -> String {
+    scene(passes).replace(r#"Dataset(path: "$DATA")"#, &format!(r#"Dataset(path: "$DATA", {words})"#))
+}
+
 /// The scene of a data set whose first photograph of each split is of one placement, and the others of another.
 fn with_placements(second: &str, last: &str) -> String {
     let placements = format!(r#"placements: [(photographs: "rgb_000000"), (photographs: "rgb_", {second})]"#);
-    scene(&format!(r#"Fit(name: "fit", steps: 60, batch: 512), Render(name: "novel"), {last}"#))
-        .replace(r#"Dataset(path: "$DATA")"#, &format!(r#"Dataset(path: "$DATA", {placements})"#))
-}
-
-/// The colors of the test views.
-fn pictures(data: &Data, pass: &str) -> [Vec<Vec3>; 2] {
-    [0, 1].map(|view| {
-        let layers = data.exr(&data.pictures(pass)[view]);
-        let [r, g, b] = ["R", "G", "B"].map(|name| &layers.channels[name]);
-        (0..r.len()).map(|i| Vec3::new(r[i], g[i], b[i])).collect()
-    })
+    with_views(&[FIT, NOVEL, last].concat(), &placements)
 }
 
 #[test]
 fn a_saved_scene_shows_each_placement_and_each_light_as_it_was_found() {
     let data = Data::new();
     for second in ["turned_degrees: None", "turned_degrees: (0, 40, 0)", "light: Own"] {
-        data.run(&with_placements(second, "Save()"), "out", &["--quiet", "--force"]).succeeded();
+        fit(&data, &with_placements(second, "Save()"));
         let saved = data.text("out/saved/scene.ron");
         if second == "light: Own" {
             assert!(saved.contains("light_2.npy"), "{saved}");
@@ -232,10 +208,10 @@ fn a_saved_scene_shows_each_placement_and_each_light_as_it_was_found() {
         let turned = ["turned_degrees: (", "turned_degrees: Some("].map(|words| saved.matches(words).count());
         assert_eq!(turned.iter().sum::<usize>(), 1, "{saved}");
         data.run_file("out/saved/scene.ron", "again", &["--quiet", "--force"]).succeeded();
-        let [first, again] = ["out/novel", "again/novel"].map(|pass| pictures(&data, pass));
         let apart = |view: usize| {
-            let pixels = first[view].iter().zip(&again[view]);
-            pixels.map(|(a, b)| a.distance(*b)).fold(0.0, f32::max)
+            let color = |out| read_frame(data.path(format!("{out}/novel/rgb_{view:06}.exr"))).unwrap().color;
+            let (first, again): (Vec<Vec3>, Vec<Vec3>) = (color("out"), color("again"));
+            first.iter().zip(&again).map(|(a, b)| a.distance(*b)).fold(0.0, f32::max)
         };
         // Angles that are written in degrees are rounded.
         assert!(apart(0) == 0.0 && apart(1) < 2e-3, "{} {}", apart(0), apart(1));
@@ -247,9 +223,7 @@ fn what_is_said_of_a_placement_holds() {
     let data = Data::new();
     // The photographs are of one placement.
     let [right, wrong] = ["(0, 0, 0)", "(0, 90, 0)"].map(|turned| {
-        let scored = r#"Evaluate(scores: [(pass: "novel", truth: Photographs)])"#;
-        let scene = with_placements(&format!("turned_degrees: {turned}"), scored);
-        data.run(&scene, "out", &["--quiet", "--force"]).succeeded();
+        fit(&data, &with_placements(&format!("turned_degrees: {turned}"), SCORES));
         assert!(data.metrics("out")["placements"].is_null());
         data.novel("out")
     });
@@ -257,35 +231,33 @@ fn what_is_said_of_a_placement_holds() {
 }
 
 #[test]
-fn placements_and_lights_of_rooms_that_cannot_be_are_refused() {
+fn words_about_lights_and_placements_that_cannot_be_are_refused() {
     let data = Data::new();
-    let turned = with_placements("turned_degrees: None", "");
-    let own = with_placements("light: Own", "");
+    let assumed = |words: &str| lamp("", words, &[]);
+    let (turned, own) = (with_placements("turned_degrees: None", ""), with_placements("light: Own", ""));
     let known = |word: &str| {
         format!("light: {word}(Lobes(lobes: [(axis: (0, 1, 0), sharpness: 1, amplitude: (1, 1, 1))]))")
     };
+    let unknown = "light: Unknown(lobes: 6)";
     let first = |words: &str| format!(r#""rgb_000000", {words})"#);
     for (scene, words) in [
+        (assumed("scale: MeanAlbedo(0.5, 0, 0.2),"), &["scale", "above 0"] as &[&str]),
+        (assumed("scale: Highlights(white_light: -1),"), &["scale", "0 or more"]),
+        (assumed("light_frame: Turntable(0, 0, 0),"), &["light_frame"]),
         (
-            turned.replace(r#"photographs: "rgb_","#, r#"photographs: "over_","#),
-            &["`rgb_000001`", "none of the `placements`", "cam_dict_norm.json"] as &[&str],
+            changed(&turned, r#"photographs: "rgb_","#, r#"photographs: "over_","#),
+            &["`rgb_000001`", "none of the `placements`", "cam_dict_norm.json"],
         ),
         // All names begin with the first entry.
-        (turned.replace("\"rgb_000000\"", "\"rgb\""), &["no training photograph shows the placement `rgb_`"]),
+        (changed(&turned, "\"rgb_000000\"", "\"rgb\""), &["shows the placement `rgb_`"]),
         (
-            turned.replace("\"rgb_000000\")", &first("turned_degrees: (1, 0, 0)")),
+            changed(&turned, "\"rgb_000000\")", &first("turned_degrees: (1, 0, 0)")),
             &["turned_degrees is [1, 0, 0]", "relative to the first placement"],
         ),
-        (own.replace("light: Own", &known("Fixed")), &["Own, as the scene's `light` is not known"]),
-        (
-            own.replace("\"rgb_000000\")", &first("light: Own")),
-            &["the first placement is in the scene's `light`"],
-        ),
-        (own.replace("light: Unknown(lobes: 6)", &known("Initial")), &["Unknown(…) and not Initial(…)"]),
-        (
-            own.replace("light: Unknown(lobes: 6)", &known("Fixed")),
-            &["Fixed(…), as the scene's `light` is known"],
-        ),
+        (changed(&own, "light: Own", &known("Fixed")), &["Own, as the scene's `light` is not known"]),
+        (changed(&own, "\"rgb_000000\")", &first("light: Own")), &["the first placement is in"]),
+        (changed(&own, unknown, &known("Initial")), &["Unknown(…) and not Initial(…)"]),
+        (changed(&own, unknown, &known("Fixed")), &["Fixed(…), as the scene's `light` is known"]),
         (
             two_rounds(OTHER_LIGHT).replace("light: Unknown(lobes: 32)", &known("Fixed")),
             &["as there are `other_lights`"],
@@ -298,8 +270,6 @@ fn placements_and_lights_of_rooms_that_cannot_be_are_refused() {
 
 // Prior maps of the user's own.
 
-const FIT: &str = r#"Fit(name: "fit", steps: 60, batch: 512)"#;
-
 /// Maps of the training photographs: their albedo at `level` of the truth, and their normals in the camera's axes.
 fn write_maps(data: &Data, level: f32) {
     let mut studio = studio(&day());
@@ -309,27 +279,22 @@ fn write_maps(data: &Data, level: f32) {
         let albedo: Vec<Vec3> = frame.albedo.iter().map(|albedo| *albedo * level).collect();
         write_image(&data.path(format!("albedo/rgb_{i:06}.exr")), &albedo, frame.width);
         let camera_from_world = camera.world_from_camera.matrix3.transpose();
-        let turn =
-            |normal: &Vec3| ((camera_from_world * *normal) * Vec3::new(1.0, -1.0, -1.0)).normalize_or_zero();
+        let axes = Vec3::new(1.0, -1.0, -1.0);
+        let turn = |normal: &Vec3| (axes * (camera_from_world * *normal)).normalize_or_zero();
         let normals: Vec<Vec3> = frame.normal.iter().map(turn).collect();
         write_image(&data.path(format!("normals/rgb_{i:06}.exr")), &normals, frame.width);
     }
-}
-
-/// The scene with these priors.
-fn with_priors(scene: &str, priors: &str) -> String {
-    scene.replace(r#"Dataset(path: "$DATA")"#, &format!(r#"Dataset(path: "$DATA", priors: ({priors}))"#))
 }
 
 #[test]
 fn a_fit_has_the_mean_color_of_the_albedo_maps_whatever_their_level() {
     let data = Data::new();
     // A fit that goes on keeps to the maps.
-    let again = format!("{FIT}, {}", FIT.replace("\"fit\"", "\"again\""));
+    let again = [FIT, &FIT.replace("\"fit\"", "\"again\"")].concat();
+    let priors = r#"priors: (albedo: (folder: "$DATA/albedo"))"#;
     for (level, passes) in [(0.3, FIT), (1.0, &again)] {
         write_maps(&data, level);
-        let scene = with_priors(&scene(passes), r#"albedo: (folder: "$DATA/albedo")"#);
-        data.run(&scene, "out", &["--quiet", "--force"]).succeeded();
+        fit(&data, &with_views(passes, priors));
         let scale = &data.metrics("out")["scale"];
         assert!(scale["rule"].as_str().unwrap().starts_with("MeanAlbedo("), "{scale}");
         // Half the sphere is (0.6, 0.3, 0.2), half (0.2, 0.35, 0.5): the mean is (0.4, 0.325, 0.35).
@@ -342,9 +307,8 @@ fn a_fit_has_the_mean_color_of_the_albedo_maps_whatever_their_level() {
     }
     assert!(data.text("out/run.json").contains("albedo/rgb_000003.exr"), "maps are inputs");
     // A rule that the scene says goes before the maps.
-    let scene = with_priors(&scene(FIT), r#"albedo: (folder: "$DATA/albedo")"#);
-    data.run(&scene.replace("light:", "scale: WhiteLight, light:"), "white", &["--quiet"]).succeeded();
-    assert_eq!(data.metrics("white")["scale"]["rule"], "WhiteLight");
+    fit(&data, &with_views(FIT, priors).replace("light:", "scale: WhiteLight, light:"));
+    assert_eq!(data.metrics("out")["scale"]["rule"], "WhiteLight");
 }
 
 #[test]
@@ -355,16 +319,16 @@ fn normals_smooth_a_mesh_whose_bumps_photographs_hardly_show() {
     mesh.positions.iter_mut().for_each(|at| *at *= bump(at));
     mesh.normals = mesh.smooth_normals();
     write_glb(&data.path("mesh.glb"), &mesh, None).unwrap();
-    let missing = with_priors(&scene(FIT), r#"normals: (folder: "$DATA/normals")"#);
-    data.run(&missing, "none", &["--quiet"]).refused(&["normals: there is no such folder"]);
-    write_maps(&data, 1.0);
-    let wrong = with_priors(&scene(FIT), r#"normals: (folder: "$DATA/normals", axes: World, weight: -1)"#);
-    data.run(&wrong, "none", &["--quiet"]).refused(&["weight"]);
     let passes = r#"Fit(name: "fit", steps: 150, batch: 512, vertices: true), Render(name: "novel"),
         Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)], normal: Folder("$DATA/test/gt"))"#;
+    let with = |words: &str| {
+        with_views(passes, &format!(r#"priors: (normals: (folder: "$DATA/normals", {words}))"#))
+    };
+    data.run(&with(""), "none", &["--quiet"]).refused(&["normals: there is no such folder"]);
+    write_maps(&data, 1.0);
+    data.run(&with("axes: World, weight: -1"), "none", &["--quiet"]).refused(&["weight"]);
     let [free, held] = ["0", "1"].map(|weight| {
-        let normals = format!(r#"normals: (folder: "$DATA/normals", weight: {weight})"#);
-        data.run(&with_priors(&scene(passes), &normals), "out", &["--quiet", "--force"]).succeeded();
+        fit(&data, &with(&format!("weight: {weight}")));
         data.metrics("out")["normal_deg"].as_f64().unwrap()
     });
     assert!(held < 0.8 * free, "{free} {held}");

@@ -1,27 +1,16 @@
 //! Outputs never touch inputs, whatever passes, views and folders are called; two runs never mix; and `run.json` says what belongs
 //! together, whatever became of the run.
 
-use crate::common::{
-    AtWork, Data, ENDLESS, FIT, NOVEL, Outcome, SCORES, command, files_below, is_temporary, manifest, scene,
-    states,
-};
+use crate::common::*;
 use serde_json::Value;
-use std::collections::BTreeMap;
-use std::path::Path;
+use std::{collections::BTreeMap, path::Path};
 
 const SAVE: &str = "Save(), ";
 
-fn usual() -> String {
-    scene(&[FIT, NOVEL, SCORES].concat())
-}
-
 /// All files below a folder with their bytes.
 fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let read = |file: String| {
-        let bytes = std::fs::read(folder.join(&file)).unwrap();
-        (file, bytes)
-    };
-    files_below(folder).into_iter().map(read).collect()
+    let files = files_below(folder).into_iter();
+    files.map(|file| (file.clone(), std::fs::read(folder.join(file)).unwrap())).collect()
 }
 
 /// Expects that a run into `out` with `--force` is refused with one message that has all `words`, and that nothing changes.
@@ -33,14 +22,17 @@ fn refused(data: &Data, scene: &str, out: &str, words: &[&str]) {
     assert!(before == contents(data.root()), "something was changed");
 }
 
-/// The files that a manifest lists as the run's.
-fn listed(manifest: &Value) -> Vec<String> {
+/// Expects that the manifest of a run lists its files, and returns it.
+#[track_caller]
+fn lists_its_files(data: &Data) -> Value {
+    let manifest = data.manifest("out");
     let of = |value: &Value| -> Vec<String> { serde_json::from_value(value["files"].clone()).unwrap() };
-    let passes = manifest["passes"].as_array().unwrap();
-    let mut files: Vec<String> = passes.iter().flat_map(of).chain(of(manifest)).collect();
+    let mut files = of(&manifest);
+    files.extend(manifest["passes"].as_array().unwrap().iter().flat_map(of));
     files.push("run.json".into());
     files.sort();
-    files
+    assert_eq!(files, files_below(&data.path("out")));
+    manifest
 }
 
 #[test]
@@ -78,9 +70,8 @@ fn force_replaces_what_a_run_wrote_and_nothing_else() {
         assert_eq!(data.text(kept), "mine", "{kept}");
     }
     // Results of passes that are no longer there stay, and are said to be older.
-    let manifest = manifest(&data.path("out"));
-    let earlier: Vec<String> = serde_json::from_value(manifest["earlier"].clone()).unwrap();
-    assert!(earlier.contains(&"novel/rgb_000000.exr".to_owned()), "{manifest}");
+    let earlier = &data.manifest("out")["earlier"];
+    assert!(earlier.as_array().unwrap().contains(&"novel/rgb_000000.exr".into()), "{earlier}");
     assert!(data.path("out/novel/rgb_000000.exr").exists());
     // Without the manifest nobody knows whose the files are.
     data.write("out/run.json", "{}");
@@ -91,11 +82,9 @@ fn force_replaces_what_a_run_wrote_and_nothing_else() {
 #[test]
 fn force_removes_no_result_that_the_run_reads() {
     let data = Data::new();
-    let fixed =
-        usual().replace("light: Unknown(lobes: 6)", r#"light: Fixed(Npy(path: "$DATA/out/fit/light.npy"))"#);
-    data.run(&scene(&[FIT, r#"Export(formats: [Glb]),"#].concat()), "out", &["--quiet"]).succeeded();
-    let export = scene(&[FIT, r#"Export(formats: [Usdz]),"#].concat())
-        .replace("$DATA/mesh.glb", "$DATA/out/export/mesh.glb");
+    let fixed = usual().replace("Unknown(lobes: 6)", r#"Fixed(Npy(path: "$DATA/out/fit/light.npy"))"#);
+    data.run(&scene(&[FIT, "Export(formats: [Glb]),"].concat()), "out", &["--quiet"]).succeeded();
+    let export = scene(&[FIT, "Export(formats: [Usdz])"].concat()).replace("mesh.glb", "out/export/mesh.glb");
     refused(&data, &export, "out", &["--force would replace", "out/export/mesh.glb", "earlier run"]);
     refused(&data, &fixed, "out", &["pass fit would replace", "out/fit/light.npy"]);
     data.run(&export, "other", &["--quiet"]).succeeded();
@@ -109,12 +98,10 @@ fn a_manifest_lists_every_file() {
         Relight(name: "relit", light: Npy(path: "$DATA/evening.npy")),
         Save(name: "relit_object", of: "relit"),
         Export(formats: [Glb, Usda, Usdz]),"#;
-    let scene = scene(&[FIT, NOVEL, SCORES, SAVE, more].concat());
-    let scene = scene
-        .replace("light: Unknown(lobes: 6),", "light: Unknown(lobes: 6),\n    material: (gloss: Texels()),");
+    let scene = scene(&[FIT, NOVEL, SCORES, SAVE, more].concat())
+        .replace("passes:", "material: (gloss: Texels()), passes:");
     data.run(&scene, "out", &["--quiet"]).succeeded();
-    let (out, manifest) = (data.path("out"), manifest(&data.path("out")));
-    assert_eq!(listed(&manifest), files_below(&out));
+    let manifest = lists_its_files(&data);
     assert_eq!((&manifest["program"], &manifest["state"]), (&"lobelia".into(), &"finished".into()));
     assert!(manifest["version"].as_str().unwrap().starts_with(env!("CARGO_PKG_VERSION")), "{manifest}");
     assert!(manifest["arguments"].as_array().unwrap().contains(&"--quiet".into()), "{manifest}");
@@ -123,8 +110,8 @@ fn a_manifest_lists_every_file() {
     // Again, with other views: those of before are gone.
     let other = scene.replace("views: All, ", "views: Train, ");
     data.run(&other, "out", &["--quiet", "--force"]).succeeded();
-    assert_eq!(listed(&crate::common::manifest(&out)), files_below(&out));
-    assert!(!out.join("film/test_rgb_000000.png").exists());
+    lists_its_files(&data);
+    assert!(!data.path("out/film/test_rgb_000000.png").exists());
 }
 
 #[cfg(unix)]
@@ -162,26 +149,13 @@ fn views_with_names_of_paths_are_rendered_into_the_output_folder() {
     let absolute = data.path("elsewhere/a.exr").display().to_string();
     let names = ["a.exr", "left/a.exr", "../../elsewhere/a.exr", &absolute];
     data.write_colmap(&names, 40.0);
-    let scene = r#"Scene(
-    version: 1,
-    surface: Mesh(path: "$DATA/mesh.glb", texture_size: 16),
-    views: Dataset(path: "$DATA/colmap"),
-    light: Fixed(Npy(path: "$DATA/evening.npy")),
-    material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0, 0, 0), roughness: Fixed(1))),
-    passes: [Render(name: "novel", render: (views: All))],
-)
-"#;
-    data.write("scene.ron", scene);
+    data.write("scene.ron", colmap_scene());
     let before = contents(data.root());
-    data.run(scene, "out", &["--quiet"]).succeeded();
-    let written = contents(data.root()).into_iter().filter(|(file, _)| !before.contains_key(file));
-    let written: Vec<String> = written.map(|(file, _)| file).collect();
-    assert!(written.iter().all(|file| file.starts_with("out/")), "{written:?}");
-    let pictures = written.iter().filter(|file| file.starts_with("out/novel/") && file.ends_with(".exr"));
-    assert_eq!(pictures.count(), names.len(), "{written:?}");
-    assert!(
-        contents(data.root()).iter().all(|(file, bytes)| before.get(file).is_none_or(|old| old == bytes))
-    );
+    data.run(&colmap_scene(), "out", &["--quiet"]).succeeded();
+    assert_eq!(data.pictures("out/novel").len(), names.len());
+    let mut after = contents(data.root());
+    after.retain(|file, _| !file.starts_with("out/"));
+    assert!(before == after, "something beside the output was changed");
 }
 
 #[test]
@@ -196,9 +170,8 @@ fn a_killed_run_leaves_no_mixture_and_no_lock() {
         data.run(&whole, "out", force).refused(&["another run writes into"]);
     }
     at_work.kill();
-    let manifest = manifest(&out);
-    assert_eq!(manifest["state"], "running");
-    assert_eq!(states(&manifest), ["finished", "finished", "running", "waiting", "waiting"]);
+    assert_eq!(data.manifest("out")["state"], "running");
+    assert_eq!(data.states("out"), ["finished", "finished", "running", "waiting", "waiting"]);
     for old in ["novel/rgb_000000.exr", "scores/contact_sheet.png", "scores/novel"] {
         assert!(!out.join(old).exists(), "{old} is of the run before");
     }
@@ -207,17 +180,15 @@ fn a_killed_run_leaves_no_mixture_and_no_lock() {
     assert!(scores["passes"].as_object().unwrap().is_empty() && scores["fit_secs"].is_number(), "{scores}");
     assert!(data.text("out/report.html").contains("s-running"));
     // What is whole can be used.
-    data.run_file("out/saved/scene.ron", "from_saved", &["--quiet", "--set", "passes=[Export()]"])
-        .succeeded();
+    let export = ["--quiet", "--set", "passes=[Export()]"];
+    data.run_file("out/saved/scene.ron", "from_saved", &export).succeeded();
     // What was left unfinished goes with the next run, and the lock of the dead is none.
-    std::fs::write(out.join("fit/.lobelia-abc.part.exr"), "half").unwrap();
-    std::fs::create_dir(out.join("novel")).unwrap();
-    std::fs::write(out.join("novel/.lobelia-def.part.png"), "half").unwrap();
+    data.write("out/fit/.lobelia-abc.part.exr", "half");
+    data.write("out/novel/.lobelia-def.part.png", "half");
     data.run(&whole, "out", &[]).refused(&["did not finish", "--force"]);
     data.run(&whole, "out", &["--force"]).succeeded();
-    let files = files_below(&out);
-    assert!(!files.iter().any(|file| is_temporary(file)), "{files:?}");
-    assert_eq!(listed(&crate::common::manifest(&out)), files);
+    lists_its_files(&data);
+    assert!(!files_below(&out).iter().any(|file| is_temporary(file)));
 }
 
 #[cfg(unix)]
@@ -225,7 +196,7 @@ fn a_killed_run_leaves_no_mixture_and_no_lock() {
 fn a_run_that_fails_late_says_so() {
     let data = Data::new();
     data.run(&usual(), "out", &["--quiet"]).succeeded();
-    let before = manifest(&data.path("out"));
+    assert_eq!(data.manifest("out")["state"], "finished");
     let late = scene(&[FIT, NOVEL, ENDLESS].concat());
     let at_work = AtWork::start(&data, &late, &["--force"], "endless");
     // A fit that is stopped before its first step has nothing to write.
@@ -234,10 +205,10 @@ fn a_run_that_fails_late_says_so() {
     std::fs::create_dir_all(data.path("out/endless/light.npy/x")).unwrap();
     at_work.signal("TERM");
     assert_eq!(at_work.ended(), Some(1));
-    let after = manifest(&data.path("out"));
-    assert_eq!((&before["state"], &after["state"]), (&"finished".into(), &"failed".into()));
+    let after = data.manifest("out");
+    assert_eq!(after["state"], "failed");
     assert!(after["error"].as_str().unwrap().contains("light.npy"), "{after}");
-    assert_eq!(states(&after)[1..], ["finished", "failed"]);
+    assert_eq!(data.states("out")[1..], ["finished", "failed"]);
     let metrics = data.metrics("out");
     assert!(metrics["passes"].as_object().is_none_or(|passes| passes.is_empty()), "{metrics}");
     let report = data.text("out/report.html");
@@ -254,14 +225,12 @@ fn a_pass_that_fails_ends_only_what_needs_it() {
     // A folder where a picture goes.
     std::fs::create_dir_all(data.path("out/relit/rgb_000000.exr/x")).unwrap();
     assert_eq!(at_work.ended(), Some(1));
-    let manifest = manifest(&data.path("out"));
-    assert_eq!(states(&manifest), ["finished", "finished", "failed", "skipped", "finished", "finished"]);
+    let manifest = data.manifest("out");
+    assert_eq!(data.states("out"), ["finished", "finished", "failed", "skipped", "finished", "finished"]);
     assert_eq!(manifest["state"], "failed");
     assert!(manifest["error"].as_str().unwrap().contains("rgb_000000.exr"), "{manifest}");
-    assert!(
-        data.metrics("out")["passes"]["novel"]["psnr"].is_number(),
-        "scores that can be taken are written"
-    );
+    // Scores that can be taken are.
+    assert!(data.metrics("out")["passes"]["novel"]["psnr"].is_number());
     assert!(data.path("out/saved/scene.ron").exists() && data.path("out/scores/contact_sheet.png").exists());
 }
 
@@ -269,15 +238,10 @@ fn a_pass_that_fails_ends_only_what_needs_it() {
 fn check_replaces_nothing_that_it_reads() {
     let data = Data::new();
     data.write("scene.ron", usual().replace("mesh.glb", "out/survey.json"));
-    std::fs::create_dir(data.path("out")).unwrap();
-    std::fs::copy(data.path("mesh.glb"), data.path("out/survey.json")).unwrap();
+    data.write("out/survey.json", data.bytes("mesh.glb"));
     let before = contents(data.root());
-    let into = |out: &str, word: &str| {
-        let mut check = command(&["check"]);
-        check.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path(out));
-        Outcome::of(&mut check).refused(&[word]);
+    for (out, word) in [("out", "--out would replace"), ("train/mask", "--out would write")] {
+        data.lobelia(&["check", "scene.ron", "--data", ".", "--out", out]).refused(&[word]);
         assert!(before == contents(data.root()));
-    };
-    into("out", "--out would replace");
-    into("train/mask", "--out would write");
+    }
 }

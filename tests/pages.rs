@@ -1,34 +1,17 @@
 //! Pages: what `View` and `lobelia view` write of a saved object; what `lobelia run` writes of itself after every pass, and
 //! `lobelia report` makes of runs; and what they refuse.
 
-use crate::common::{Data, Outcome, command, files_below, scene};
+use crate::common::{Data, GRAY_SPHERE, files_below, photographed, scene};
 use serde_json::Value;
 
-const OBJECT: &str = r#"Scene(
-    version: 1,
-    surface: Box(texture_size: 32),
-    views: Cameras([
-        (name: "front", eye: (1.6, 1.3, 1.9), width: 24, height: 16),
-    ]),
-    light: Fixed(Lobes(lobes: [
-        (axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.35, 0.45, 0.6)),
-        (axis: (0.5, 0.6, 0.62), sharpness: 20, amplitude: (2.5, 2.2, 1.9)),
-    ])),
-    material: (
-        albedo: Fixed(Constant(0.5, 0.3, 0.2)),
-        specular: (albedo: Fixed(0.3, 0.22, 0.08), roughness: Fixed(0.3)),
-    ),
-    passes: [
-        Relight(name: "evening", light: Lobes(lobes: [
-            (axis: (1, 0, 0), sharpness: 5, amplitude: (3, 1, 0.5)),
-        ])),
+const PASSES: &str = r#"
+        Relight(name: "evening", light: Lobes(lobes: [(axis: (1, 0, 0), sharpness: 5, amplitude: (3, 1, 0.5))])),
         Edit(name: "polished", edits: [Roughness(action: Set(0.1))]),
         Save(),
         View(),
         View(name: "shown", of: "evening"),
         View(name: "shiny", of: "polished"),
-    ],
-)"#;
+    "#;
 
 /// Reads the scene in the page.
 fn scene_of(data: &Data, page: &str) -> Value {
@@ -37,24 +20,29 @@ fn scene_of(data: &Data, page: &str) -> Value {
     serde_json::from_str(after.split_once("</script>").unwrap().0).unwrap()
 }
 
+fn name(entry: &Value) -> String {
+    entry["name"].as_str().unwrap().to_owned()
+}
+
 fn names(scene: &Value, list: &str) -> Vec<String> {
-    let name = |entry: &Value| entry["name"].as_str().unwrap().to_owned();
     scene[list].as_array().unwrap().iter().map(name).collect()
 }
 
-fn view(data: &Data, arguments: &[&str]) -> Outcome {
-    Outcome::of(command(&["view"]).args(arguments).current_dir(data.root()))
+/// The views of a page that have photographs.
+fn with_photographs(scene: &Value) -> Vec<String> {
+    let views = scene["cameras"].as_array().unwrap().iter();
+    views.filter(|view| !view["photograph"].is_null()).map(name).collect()
 }
 
 #[test]
 fn pages_offer_the_lights_and_cameras_of_the_scene() {
     let data = Data::new();
-    data.run(OBJECT, "out", &["--quiet"]).succeeded();
+    data.run(&GRAY_SPHERE.replace("{PASS}", PASSES), "out", &["--quiet"]).succeeded();
     assert_eq!(files_below(&data.path("out/view")), ["view.html"]);
     let plain = scene_of(&data, "out/view/view.html");
     assert!(with_photographs(&plain).is_empty(), "cameras alone");
     assert_eq!(names(&plain, "lights"), ["found", "evening"]);
-    assert_eq!(names(&plain, "cameras"), ["front"]);
+    assert_eq!(names(&plain, "cameras"), ["a"]);
     assert_eq!(plain["title"], "out");
     let shown = scene_of(&data, "out/shown/view.html");
     assert_eq!(names(&shown, "lights"), ["evening", "found"]);
@@ -67,28 +55,19 @@ fn pages_offer_the_lights_and_cameras_of_the_scene() {
     // A saved object gets a page and nothing else; an earlier page is replaced, and a file of the user is not.
     let before = files_below(&data.path("out"));
     data.write("moon.ron", "Lobes(lobes: [(axis: (0, 1, 0), sharpness: 9, amplitude: (1, 1, 2))])");
-    view(&data, &["out"]).succeeded();
-    view(&data, &["out", "--light", "moon.ron"]).succeeded();
+    data.lobelia(&["view", "out"]).succeeded();
+    data.lobelia(&["view", "out", "--light", "moon.ron"]).succeeded();
     let mut after = files_below(&data.path("out"));
     after.retain(|file| !before.contains(file));
     assert_eq!(after, ["view.html"]);
     assert_eq!(names(&scene_of(&data, "out/view.html"), "lights"), ["found", "moon"]);
     data.write("out/view.html", "<p>my own page</p>");
-    view(&data, &["out"]).refused(&["view.html is not a page"]);
+    data.lobelia(&["view", "out"]).refused(&["view.html is not a page"]);
     assert_eq!(data.text("out/view.html"), "<p>my own page</p>");
 }
 
-/// The views of a page that have photographs.
-fn with_photographs(scene: &Value) -> Vec<String> {
-    let views = scene["cameras"].as_array().unwrap().iter();
-    views
-        .filter(|view| !view["photograph"].is_null())
-        .map(|view| view["name"].as_str().unwrap().to_owned())
-        .collect()
-}
-
 #[test]
-fn pages_have_the_photographs_of_the_run_the_held_out_ones_first() {
+fn pages_have_the_photographs_of_the_run_if_they_are_there_the_held_out_ones_first() {
     let data = Data::new();
     let passes = r#"Fit(name: "fit", steps: 2), Save(), View(), View(name: "few", photographs: 3), View(name: "none", photographs: 0)"#;
     data.run(&scene(passes), "out", &["--quiet"]).succeeded();
@@ -105,19 +84,15 @@ fn pages_have_the_photographs_of_the_run_the_held_out_ones_first() {
     let side = |key: &str, i: usize| photograph[key][i].as_u64().unwrap();
     assert!(side("window", 2) <= 48 && side("size", 0) == side("window", 2), "{}", photograph["window"]);
     assert!(few["arrays"]["coverage0"]["count"].as_u64().unwrap() == side("size", 0) * side("size", 1));
-}
 
-#[test]
-fn a_saved_object_finds_its_photographs_again_or_does_without() {
-    let data = Data::new();
-    data.run(&scene(r#"Fit(name: "fit", steps: 2), Save()"#), "out", &["--quiet"]).succeeded();
+    // The saved object finds its photographs again, or does without.
     let root = data.root().to_str().unwrap();
     let page = || scene_of(&data, "out/view.html");
-    let seen = view(&data, &["out", "--data", root, "--photographs", "1"]).succeeded();
+    let seen = data.lobelia(&["view", "out", "--data", root, "--photographs", "1"]).succeeded();
     assert!((seen.stderr + &seen.stdout).contains("1 photograph,"));
     assert_eq!(with_photographs(&page()).len(), 1);
     let without = || {
-        let outcome = view(&data, &["out", "--data", root]).succeeded();
+        let outcome = data.lobelia(&["view", "out", "--data", root]).succeeded();
         let said = outcome.stderr.matches("the page has neither photographs nor their cameras").count();
         assert_eq!(said, 1, "{}", outcome.stderr);
         assert!(names(&page(), "cameras").is_empty());
@@ -132,43 +107,23 @@ fn a_saved_object_finds_its_photographs_again_or_does_without() {
 #[test]
 fn folders_without_a_saved_object_are_refused() {
     let data = Data::new();
-    view(&data, &["nowhere"]).refused(&["is not there"]);
+    data.lobelia(&["view", "nowhere"]).refused(&["is not there"]);
     std::fs::create_dir(data.path("nowhere")).unwrap();
-    view(&data, &["nowhere"]).refused(&["has no saved/scene.ron", "`Save("]);
-    let text = OBJECT.replace("albedo: Fixed(Constant(0.5, 0.3, 0.2))", "albedo: Unknown");
-    let (head, _) = text.split_once("    passes: [").unwrap();
-    data.write("unknown.ron", format!("{head})"));
-    view(&data, &["unknown.ron"]).refused(&["diffuse albedo"]);
+    data.lobelia(&["view", "nowhere"]).refused(&["has no saved/scene.ron", "`Save("]);
+    let text = GRAY_SPHERE.replace("albedo: Fixed(Constant(0.5, 0.5, 0.5))", "albedo: Unknown");
+    data.write("unknown.ron", text.replace("passes: [{PASS}],", ""));
+    data.lobelia(&["view", "unknown.ron"]).refused(&["diffuse albedo"]);
     assert!(!files_below(data.root()).iter().any(|file| file.ends_with(".html")));
 }
 
 // Reports of runs.
 
-/// A run that makes its own photographs, with a known light, a second pass without scores, and scores of the first.
-const SCENE: &str = r#"Scene(
-    version: 1,
-    surface: Sphere(radius: 0.9, texture_size: 16),
-    visibility: None,
-    views: Photographed(
-        cameras: (count: 6, test: 2, size: 20),
-        spp: 2,
-        truth: (
-            albedo: Constant(0.5, 0.3, 0.2),
-            specular: (albedo: (0.3, 0.3, 0.3), roughness: 0.25),
-            light: Lobes(lobes: [(axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.6, 0.6, 0.6))]),
-        ),
-    ),
-    light: Unknown(lobes: 6),
-    passes: [
-        Fit(steps: 45, batch: 256),
-        Render(name: "novel"),
+/// A run with a second pass without scores, and scores of the first.
+fn reported() -> String {
+    let passes = r#"Fit(steps: 45, batch: 256), Render(name: "novel"),
         Edit(name: "polished", edits: [Roughness(action: Set(0.1))]),
-        Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]),
-    ],
-)"#;
-
-fn report(data: &Data, arguments: &[&str]) -> Outcome {
-    Outcome::of(command(&["report"]).args(arguments).current_dir(data.root()))
+        Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]),"#;
+    photographed(passes, "Lobes(lobes: [(axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.6, 0.6, 0.6))])")
 }
 
 #[track_caller]
@@ -181,86 +136,69 @@ fn has(text: &str, all: &[&str]) {
 #[test]
 fn a_run_has_a_report_with_everything() {
     let data = Data::new();
-    data.run(SCENE, "out", &["--quiet"]).succeeded();
+    data.run(&reported(), "out", &["--quiet"]).succeeded();
     let text = data.text("out/report.html");
     assert!(text.len() < 1_000_000, "{} bytes", text.len());
     for part in ["scores", "views", "light", "curves", "found", "passes", "scene", "run"] {
         has(&text, &[&format!("<section id=\"{part}\"")]);
     }
-    has(
-        &text,
-        &["photograph of view", "fit: recovered light", "fit: true light", "fit: albedo", "s-finished"],
-    );
-    has(&text, &["PSNR of training pixels, dB", "data:image/jpeg;base64,", "<h3>polished</h3>"]);
+    has(&text, &["photograph of view", "fit: recovered light", "fit: true light", "fit: albedo"]);
+    let others = ["s-finished", "PSNR of training pixels", "data:image/jpeg;base64,", "<h3>polished</h3>"];
+    has(&text, &others);
     assert!(!text.contains("http:") && !text.contains("https:"), "it asks no server for anything");
     // The same page comes of the folder alone, also where it was moved.
     std::fs::rename(data.path("out"), data.path("moved")).unwrap();
-    report(&data, &["moved"]).succeeded();
+    data.lobelia(&["report", "moved"]).succeeded();
     assert_eq!(data.text("moved/report.html"), text.replace(">out<", ">moved<"));
-    let manifest = data.json("moved/run.json");
+    let mut manifest = data.manifest("moved");
     has(manifest["scene_text"].as_str().unwrap(), &["Scene("]);
     assert!(manifest["machine"]["threads"].as_u64().unwrap() > 0 && manifest["seed"] == 0, "{manifest}");
     let fit = &manifest["passes"][0];
     assert!(fit["secs"].as_f64().unwrap() > 0.0 && fit["said"].to_string().contains("45 steps"), "{fit}");
 
     // A folder that lost files has a report of what is left.
-    let mut manifest = manifest;
     manifest["state"] = "failed".into();
     manifest["error"] = "scores: <no> room".into();
     data.write("moved/run.json", manifest.to_string());
     std::fs::remove_dir_all(data.path("moved/scores")).unwrap();
     std::fs::remove_dir_all(data.path("moved/fit")).unwrap();
-    report(&data, &["moved"]).succeeded();
+    data.lobelia(&["report", "moved"]).succeeded();
     has(&data.text("moved/report.html"), &["s-failed", "scores: &lt;no&gt; room"]);
 }
 
 #[test]
 fn runs_stand_side_by_side() {
     let data = Data::new();
-    data.run(SCENE, "a", &["--quiet"]).succeeded();
-    data.run(SCENE, "b", &["--quiet", "--set", "passes.fit.steps=5"]).succeeded();
-    let both = ["a", "b", "--out", "both.html"];
-    report(&data, &both).succeeded();
+    data.run(&reported(), "a", &["--quiet"]).succeeded();
+    data.run(&reported(), "b", &["--quiet", "--set", "passes.fit.steps=5"]).succeeded();
+    let both = ["report", "a", "b", "--out", "both.html"];
+    data.lobelia(&both).succeeded();
     let text = data.text("both.html");
-    has(
-        &text,
-        &[
-            "<title>a · b</title>",
-            "passes.fit.steps",
-            "<td>45</td><td>5</td>",
-            "a: render of view",
-            "b: render of view",
-        ],
-    );
-    has(&text, &["class=\"worse\">(▼ -", "b: error of view"]);
+    has(&text, &["<title>a · b</title>", "passes.fit.steps", "<td>45</td><td>5</td>"]);
+    has(&text, &["class=\"worse\">(▼ -", "a: render of view", "b: render of view", "b: error of view"]);
     assert_eq!(files_below(&data.path("a")).iter().filter(|file| file.ends_with(".html")).count(), 1);
     // An earlier report is replaced, and a file of the user is not.
-    report(&data, &both).succeeded();
+    data.lobelia(&both).succeeded();
     data.write("both.html", "<p>my own page</p>");
-    report(&data, &both).refused(&["both.html is not a page that this command wrote"]);
+    data.lobelia(&both).refused(&["both.html is not a page that this command wrote"]);
     assert_eq!(data.text("both.html"), "<p>my own page</p>");
     data.write("view.html", r#"<meta name="generator" content="Lobelia">"#);
-    report(&data, &["a", "--out", "view.html"]).refused(&["view.html is not a page"]);
-    report(&data, &["a", "--out", "train"]).refused(&["train: it is a folder"]);
+    data.lobelia(&["report", "a", "--out", "view.html"]).refused(&["view.html is not a page"]);
+    data.lobelia(&["report", "a", "--out", "train"]).refused(&["train: it is a folder"]);
+    // A report in the way of a run stays.
+    let mut manifest = data.manifest("a");
+    manifest["files"] = serde_json::json!(["metrics.json"]);
+    data.write("a/run.json", manifest.to_string());
+    data.write("a/report.html", "mine");
+    data.run(&reported(), "a", &["--quiet", "--force"]).refused(&["report.html is in the way"]);
+    assert_eq!(data.text("a/report.html"), "mine");
 }
 
 #[test]
 fn what_is_no_run_is_refused() {
     let data = Data::new();
-    report(&data, &["nowhere"]).refused(&["nowhere is not there", "help: Give the output folder"]);
-    report(&data, &["train"]).refused(&["train is not the folder of a run: it has no run.json"]);
-    assert_eq!(report(&data, &[]).code, Some(2));
+    data.lobelia(&["report", "nowhere"]).refused(&["nowhere is not there", "help: Give the output folder"]);
+    data.lobelia(&["report", "train"]).refused(&["train is not the folder of a run: it has no run.json"]);
+    assert_eq!(data.lobelia(&["report"]).code, Some(2));
     assert!(!files_below(data.root()).iter().any(|file| file.ends_with(".html")));
-}
-
-#[test]
-fn a_report_in_the_way_stays() {
-    let data = Data::new();
-    data.run(SCENE, "out", &["--quiet"]).succeeded();
-    let mut manifest = data.json("out/run.json");
-    manifest["files"] = serde_json::json!(["metrics.json"]);
-    data.write("out/run.json", manifest.to_string());
-    data.write("out/report.html", "mine");
-    data.run(SCENE, "out", &["--quiet", "--force"]).refused(&["report.html is in the way"]);
-    assert_eq!(data.text("out/report.html"), "mine");
 }

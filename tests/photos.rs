@@ -1,13 +1,10 @@
 //! A whole run on photographs and masks alone: at any place and scale.
 
-use crate::common::{Data, SIZE, files_below, save_png, write_image};
+use crate::common::{Data, SIZE, camera, day, files_below, studio};
 use glam::Vec3;
-use image::{DynamicImage, GrayImage, Luma};
-use lobelia::codec::exr::read_exr_layers;
-use lobelia::codec::gltf::import::read_mesh_with_report;
+use lobelia::{codec::gltf::import::read_mesh, view::Camera};
 use serde_json::{Value, json};
-use std::path::Path;
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 
 const SCENE: &str = r#"Scene(
     version: 1,
@@ -24,103 +21,69 @@ const SCENE: &str = r#"Scene(
 "#;
 
 /// A run's novel PSNR and mask IoU, and the bounds of its exported mesh.
-pub struct Found {
-    psnr: f64,
-    iou: f64,
-    low: Vec3,
-    high: Vec3,
-}
+type Found = ([f64; 2], [Vec3; 2]);
 
-/// Black pixels added on every side of the photographs, so that no frame cuts close to the object.
-const MARGIN: u32 = 6;
-const WIDE: u32 = SIZE + 2 * MARGIN;
-
-/// The usual data with wider frames.
+/// The usual data with wider frames, so that none cuts close to the object.
 pub fn photographs() -> Data {
     let data = Data::new();
-    widen_all(&data);
+    widen(&data);
     data
 }
 
-fn widen_all(data: &Data) {
-    for split in ["train", "test"] {
-        data.change_cameras(split, |name, camera| {
-            for i in [2, 6] {
-                camera["K"][i] = json!(camera["K"][i].as_f64().unwrap() + f64::from(MARGIN));
-            }
-            camera["img_size"] = json!([WIDE, WIDE]);
-            widen(&data.path(split), name);
-        });
-    }
+fn widen(data: &Data) {
+    // Pixels that are added on every side.
+    const MARGIN: u32 = 6;
+    data.photograph(&mut studio(&day()), |from| {
+        let camera = camera(from, SIZE);
+        let center = camera.center.map(|at| at + MARGIN as f32);
+        Camera { width: SIZE + 2 * MARGIN, height: SIZE + 2 * MARGIN, center, ..camera }
+    });
 }
 
 /// A run on the masks alone into `out`, and one whose shape photographs refine into `refined`.
-pub fn carved() -> &'static (Data, Found) {
-    static CARVED: OnceLock<(Data, Found)> = OnceLock::new();
-    CARVED.get_or_init(|| {
-        let data = Data::shared("carved");
-        widen_all(&data);
-        let found = run(&data);
-        let levels =
-            "Shape(levels: [(cells: 32, texel_cells: 16, steps: 60, hold: 10)], batch: 1024), Fit(name";
-        let scene = SCENE.replace("Fit(name", levels);
-        data.run(&scene, "refined", &["--quiet", "--debug-every", "30"]).succeeded();
-        (data, found)
-    })
-}
-
-/// Widens a photograph and its mask.
-fn widen(folder: &Path, name: &str) {
-    let image = folder.join("image").join(name);
-    let layers = read_exr_layers(&image).unwrap();
-    let mask_path = folder.join("mask").join(name.replace("exr", "png"));
-    let mask = image::open(&mask_path).unwrap().to_luma8();
-    let inner = |x: u32, y: u32| {
-        let (x, y) = (x.checked_sub(MARGIN)?, y.checked_sub(MARGIN)?);
-        (x < SIZE && y < SIZE).then_some((x, y))
-    };
-    let color = |i: u32| {
-        let at = inner(i % WIDE, i / WIDE).map(|(x, y)| (y * SIZE + x) as usize);
-        at.map_or(Vec3::ZERO, |at| Vec3::from(["R", "G", "B"].map(|name| layers.channels[name][at])))
-    };
-    write_image(&image, &(0..WIDE * WIDE).map(color).collect::<Vec<_>>(), WIDE as usize);
-    let wide =
-        GrayImage::from_fn(WIDE, WIDE, |x, y| inner(x, y).map_or(Luma([0]), |(x, y)| *mask.get_pixel(x, y)));
-    save_png(&mask_path, &DynamicImage::ImageLuma8(wide));
-}
+pub static CARVED: LazyLock<(Data, Found)> = LazyLock::new(|| {
+    let data = Data::shared("carved");
+    widen(&data);
+    let found = run(&data);
+    let levels = "Shape(levels: [(cells: 32, texel_cells: 16, steps: 60, hold: 10)], batch: 1024), Fit(name";
+    let scene = SCENE.replace("Fit(name", levels);
+    data.run(&scene, "refined", &["--quiet", "--debug-every", "30"]).succeeded();
+    (data, found)
+});
 
 fn run(data: &Data) -> Found {
     data.run(SCENE, "out", &["--quiet"]).succeeded();
-    let (low, high) = read_mesh_with_report(&data.path("out/export/mesh.glb")).unwrap().0.bounds().unwrap();
-    Found { psnr: data.novel("out"), iou: data.metrics("out")["mask_iou"].as_f64().unwrap(), low, high }
+    let (low, high) = read_mesh(&data.path("out/export/mesh.glb")).unwrap().bounds().unwrap();
+    ([data.novel("out"), data.metrics("out")["mask_iou"].as_f64().unwrap()], [low, high])
 }
 
 /// Changes every camera as if the world were scaled, then shifted.
 fn transform(data: &Data, scale: f64, shift: [f64; 3]) {
+    let change = |camera: &mut Value| {
+        for row in 0..3 {
+            let number = |i: usize| camera["W2C"][4 * row + i].as_f64().unwrap();
+            let shifted: f64 = (0..3).map(|i| number(i) * shift[i]).sum();
+            camera["W2C"][4 * row + 3] = json!(scale * number(3) - shifted);
+        }
+    };
     for split in ["train", "test"] {
-        data.change_cameras(split, |_, camera| {
-            for row in 0..3 {
-                let number = |i: usize| camera["W2C"][4 * row + i].as_f64().unwrap();
-                let shifted: f64 = (0..3).map(|i| number(i) * shift[i]).sum();
-                camera["W2C"][4 * row + 3] = json!(scale * number(3) - shifted);
-            }
-        });
+        data.change_cameras(split, |of| of.as_object_mut().unwrap().values_mut().for_each(change));
     }
 }
 
 #[test]
 fn the_same_object_is_found_at_any_place_and_scale() {
-    let (_, plain) = carved();
+    let (_, (scores, bounds)) = &*CARVED;
     for (scale, shift) in [(1000.0, [50.0, -20.0, 30.0]), (1e-3, [0.05, -0.02, 0.03])] {
         let data = photographs();
         transform(&data, scale, shift);
-        let found = run(&data);
-        let scores = format!("{scale}: {} {}, {} {}", plain.psnr, plain.iou, found.psnr, found.iou);
-        assert!((found.psnr - plain.psnr).abs() < 0.5 && (found.iou - plain.iou).abs() < 0.01, "{scores}");
+        let (found, corners) = run(&data);
+        let [psnr, iou] = [0, 1].map(|i| (found[i] - scores[i]).abs());
+        assert!(psnr < 0.5 && iou < 0.01, "{scale}: {scores:?} {found:?}");
         let shift = Vec3::from(shift.map(|x| x as f32));
-        let back = [found.low, found.high].map(|corner| (corner - shift) / scale as f32);
-        for (a, b) in [(back[0], plain.low), (back[1], plain.high)] {
-            assert!(a.distance(b) < 0.01, "{scale}: {a} {b}");
+        for (corner, plain) in corners.into_iter().zip(bounds) {
+            let back = (corner - shift) / scale as f32;
+            assert!(back.distance(*plain) < 0.01, "{scale}: {back} {plain}");
         }
     }
 }
@@ -128,8 +91,7 @@ fn the_same_object_is_found_at_any_place_and_scale() {
 /// Photographs refine what masks carved, and every so many steps show how far they are.
 #[test]
 fn a_shape_pass_can_be_watched() {
-    let (data, _) = carved();
-    let seen = files_below(&data.path("refined/shape/debug"));
+    let seen = files_below(&CARVED.0.path("refined/shape/debug"));
     for kind in ["normal_000030.png", "depth_000060.png", "mesh_000060.glb"] {
         assert!(seen.iter().any(|file| file.ends_with(kind)), "no {kind} in {seen:?}");
     }
@@ -138,8 +100,7 @@ fn a_shape_pass_can_be_watched() {
 /// Where cameras see the middle of the object, in pixels, by name.
 fn middles(cameras: &Value) -> Vec<(String, [f64; 2])> {
     let middle = |(name, camera): (&String, &Value)| {
-        let (k, w) =
-            (|i: usize| camera["K"][i].as_f64().unwrap(), |i: usize| camera["W2C"][i].as_f64().unwrap());
+        let [k, w] = ["K", "W2C"].map(|key| move |i: usize| camera[key][i].as_f64().unwrap());
         let stem = name.trim_end_matches(".exr").to_owned();
         (stem, [k(0) * w(3) / w(11) + k(2), k(5) * w(7) / w(11) + k(6)])
     };
@@ -150,8 +111,9 @@ fn middles(cameras: &Value) -> Vec<(String, [f64; 2])> {
 fn a_camera_that_is_off_is_moved_back_and_written_down() {
     let data = photographs();
     let truth = middles(&data.json("train/cam_dict_norm.json"));
-    data.change_camera("train", "rgb_000003.exr", |camera| {
-        camera["W2C"][3] = json!(camera["W2C"][3].as_f64().unwrap() + 0.12);
+    data.change_cameras("train", |cameras| {
+        let w2c = &mut cameras["rgb_000003.exr"]["W2C"];
+        w2c[3] = json!(w2c[3].as_f64().unwrap() + 0.12);
     });
     let given = middles(&data.json("train/cam_dict_norm.json"));
     let shape = "Shape(levels: [(cells: 32, texel_cells: 16, steps: 300, hold: 10)], batch: 1024, cameras: Poses, \
@@ -182,8 +144,7 @@ fn moved_vertices_and_a_found_focal_length_are_saved() {
     let data = photographs();
     let levels = "Shape(levels: [(cells: 32, texel_cells: 16, steps: 100, hold: 10)], batch: 1024, cameras: PosesAndFocal), \
                   Fit(vertices: true, name";
-    let scene =
-        SCENE.replace("Fit(name", levels).replace("Export(name: \"export\")", "Save(name: \"saved\")");
+    let scene = SCENE.replace("Fit(name", levels).replace("Export(name: \"export\")", "Save()");
     data.run(&scene, "out", &["--quiet"]).succeeded();
     let saved = data.text("out/saved/scene.ron");
     assert!(saved.contains("focal_scale: 1.0") || saved.contains("focal_scale: 0.9"), "{saved}");

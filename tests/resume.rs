@@ -1,20 +1,15 @@
 //! Runs that are killed go on where they were, and end with the same bits as runs without a break.
 
-use crate::common::{AtStep, AtWork, Data, Outcome, files_below, join, manifest, states};
+use crate::common::{self, AtStep, AtWork, Data, ENDLESS, Outcome, changed, colmap_scene, files_below, join};
 use crate::photos::photographs;
-use glam::Vec3;
-use lobelia::Result;
-use lobelia::codec::gltf::export::write_glb;
-use lobelia::mesh::primitive::sphere_mesh;
 use lobelia::pass::progress::{Progress, Silent};
+use lobelia::{codec::gltf::export::write_glb, prelude::*};
 use serde_json::Value;
-use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::path::Path;
-use std::time::Duration;
+use std::{collections::BTreeMap, sync::LazyLock, time::Duration};
 
 /// Where a run is killed: a pass, and the position of its bar.
-pub type Death = (&'static str, u64);
+type Death = (&'static str, u64);
 
 /// Runs a scene into `out`; `Err` if it was killed, without any of its code after that.
 fn run(data: &Data, scene: &str, out: &str, resume: bool, death: Option<Death>) -> Result<Result<()>, ()> {
@@ -30,17 +25,17 @@ fn run(data: &Data, scene: &str, out: &str, resume: bool, death: Option<Death>) 
 }
 
 /// The results of a run, without times and what the manifest says of the run itself.
-pub fn results(out: &Path) -> BTreeMap<String, String> {
+fn results(data: &Data, out: &str) -> BTreeMap<String, String> {
     let read = |file: String| {
-        let bytes = std::fs::read(out.join(&file)).unwrap();
+        let bytes = data.bytes(format!("{out}/{file}"));
         let shown = match file.rsplit('/').next().unwrap() {
             "log.csv" => {
-                let text = String::from_utf8(bytes).unwrap();
-                let untimed = |line: &str| {
-                    let columns = line.split(',').enumerate().filter(|(i, _)| *i != 1);
-                    columns.map(|(_, column)| column).collect::<Vec<_>>().join(",")
+                // Without the second column, which has times.
+                let parts = |line: &str| -> String {
+                    let (step, rest) = line.split_once(',').unwrap();
+                    format!("{step}{}\n", rest.split_once(',').unwrap().1)
                 };
-                text.lines().map(untimed).collect::<Vec<_>>().join("\n")
+                String::from_utf8(bytes).unwrap().lines().map(parts).collect()
             }
             "metrics.json" => {
                 let mut scores: Value = serde_json::from_slice(&bytes).unwrap();
@@ -49,7 +44,7 @@ pub fn results(out: &Path) -> BTreeMap<String, String> {
                 scores["peak_rss_mib"].take();
                 scores.to_string()
             }
-            "run.json" => states(&manifest(out)).join(" "),
+            "run.json" => data.states(out).join(" "),
             "contact_sheet.png" | "scene.ron" | "report.html" => String::new(),
             _ => bytes
                 .iter()
@@ -58,7 +53,7 @@ pub fn results(out: &Path) -> BTreeMap<String, String> {
         };
         (file, shown)
     };
-    files_below(out).into_iter().map(read).collect()
+    files_below(&data.path(out)).into_iter().map(read).collect()
 }
 
 /// Runs a scene without a break, and with a break at each of these deaths in turn: the results must be the same.
@@ -68,10 +63,10 @@ fn survives(data: &Data, scene: &str, deaths: &[Death]) {
     for (i, death) in deaths.iter().enumerate() {
         let killed = run(data, scene, "broken", i > 0, Some(*death));
         assert!(killed.is_err(), "{death:?}: the run was not killed but ended: {killed:?}");
-        assert_eq!(manifest(&data.path("broken"))["state"], "running");
+        assert_eq!(data.manifest("broken")["state"], "running");
     }
     run(data, scene, "broken", true, None).unwrap().unwrap();
-    let (whole, broken) = (results(&data.path("whole")), results(&data.path("broken")));
+    let (whole, broken) = (results(data, "whole"), results(data, "broken"));
     assert_eq!(whole.keys().collect::<Vec<_>>(), broken.keys().collect::<Vec<_>>());
     for (file, bits) in &whole {
         assert!(*bits == broken[file], "{file} differs:\n{bits}\n{}", broken[file]);
@@ -79,40 +74,33 @@ fn survives(data: &Data, scene: &str, deaths: &[Death]) {
 }
 
 /// A ball with a small one before it, so that there are shadows.
-pub fn two_balls(data: &Data) {
+fn two_balls() -> Data {
+    let data = Data::new();
     let mut mesh = sphere_mesh(Vec3::ZERO, 0.8).unwrap();
     let small = sphere_mesh(Vec3::new(0.0, 0.0, 0.95), 0.1).unwrap();
     join(&mut mesh, &small);
     mesh.uvs = None;
     write_glb(&data.path("mesh.glb"), &mesh, None).unwrap();
+    data
 }
 
-/// A scene of the data set.
-pub fn scene(surface: &str, material: &str, passes: &str) -> String {
-    format!(
-        r#"Scene(
-    version: 1,
-    surface: {surface},
-    views: Dataset(path: "$DATA"),
-    light: Unknown(lobes: 6),
-    visibility: Traced(directions: 64, refresh_every: 4),
-    {material}
-    passes: [{passes}],
-)
-"#
-    )
+/// A fit of which these words are said, a picture, and files of the object.
+fn fit_and_save(words: &str) -> String {
+    format!(r#"Fit(name: "fit", batch: 64, {words}), Render(name: "novel"), Save(), Export(),"#)
 }
 
-/// The known mesh.
-pub const MESH: &str = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 64)"#;
+/// A scene of the data set with its mesh.
+fn scene(material: &str, passes: &str) -> String {
+    common::scene(passes)
+        .replace("texture_size: 16", "texture_size: 64")
+        .replace("passes:", "visibility: Traced(directions: 64, refresh_every: 4),\n    passes:")
+        .replace("passes:", &format!("{material}\n    passes:"))
+}
 
 #[test]
 fn a_fit_goes_on_from_the_last_part_that_was_done() {
-    let data = Data::new();
-    two_balls(&data);
-    let passes =
-        r#"Fit(name: "fit", steps: 300, batch: 64, detail: true), Render(name: "novel"), Save(), Export(),"#;
-    let text = scene(MESH, "", passes);
+    let data = two_balls();
+    let text = scene("", &fit_and_save("steps: 300, detail: true"));
     // With one material, with several, with what was chosen, while the texture gets its detail, and during the pictures.
     let tried = ("fit, several base materials", 40);
     survives(&data, &text, &[("fit", 60), tried, ("fit", 160), ("fit", 85), ("novel", 1)]);
@@ -120,11 +108,10 @@ fn a_fit_goes_on_from_the_last_part_that_was_done() {
 
 #[test]
 fn a_fit_that_moves_cameras_and_vertices_has_no_parts_but_its_choices_and_its_detail() {
-    let data = Data::new();
-    two_balls(&data);
+    let data = two_balls();
     let passes = r#"Fit(name: "fit", steps: 80, batch: 64, cameras: PosesAndFocal, exposure: Color, vertices: true, detail: true),
         Render(name: "novel"), Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]), Save(), Export(),"#;
-    let text = scene(MESH, "material: (gloss: Blend(materials: 2)),", passes);
+    let text = scene("material: (gloss: Blend(materials: 2)),", passes);
     survives(&data, &text, &[("fit", 77), ("fit", 85), ("novel", 1)]);
 }
 
@@ -132,28 +119,17 @@ fn a_fit_that_moves_cameras_and_vertices_has_no_parts_but_its_choices_and_its_de
 fn in_two_rounds(passes: &str, said: &str) -> String {
     let rounds = format!(r#"[(photographs: "rgb_000000"), (photographs: "rgb_"{said})]"#);
     let views = format!(r#"Dataset(path: "$DATA", placements: {rounds})"#);
-    let text = scene(MESH, "material: (gloss: One),", passes).replace(r#"Dataset(path: "$DATA")"#, &views);
-    assert!(text.contains(&rounds));
-    text
+    changed(&scene("material: (gloss: One),", passes), r#"Dataset(path: "$DATA")"#, &views)
 }
 
 #[test]
-fn an_object_that_was_turned_over_goes_on() {
-    let data = Data::new();
-    two_balls(&data);
-    let passes = r#"Fit(name: "fit", steps: 160, batch: 64), Render(name: "novel"), Save(), Export(),"#;
-    let text = in_two_rounds(passes, "");
+fn an_object_that_was_turned_over_goes_on_and_one_under_two_lights() {
+    let data = two_balls();
+    let text = in_two_rounds(&fit_and_save("steps: 160"), "");
     // Between two moves of the rotation, after more, and during the pictures.
     survives(&data, &text, &[("fit", 40), ("fit", 110), ("novel", 1)]);
-}
-
-#[test]
-fn an_object_under_two_lights_goes_on() {
-    let data = Data::new();
-    two_balls(&data);
-    let passes =
-        r#"Fit(name: "fit", steps: 80, batch: 64, detail: true), Render(name: "novel"), Save(), Export(),"#;
-    let text = in_two_rounds(passes, ", light: Own");
+    let data = two_balls();
+    let text = in_two_rounds(&fit_and_save("steps: 80, detail: true"), ", light: Own");
     survives(&data, &text, &[("fit", 30), ("fit", 61), ("novel", 1)]);
 }
 
@@ -161,7 +137,7 @@ fn an_object_under_two_lights_goes_on() {
 fn roughness_of_texels_goes_on_through_two_fits() {
     let data = Data::new();
     let passes = r#"Fit(name: "fit", steps: 6, batch: 64), Fit(name: "again", steps: 6, batch: 64), Save(),"#;
-    let text = scene(MESH, "material: (gloss: Texels()),", passes);
+    let text = scene("material: (gloss: Texels()),", passes);
     survives(&data, &text, &[("fit", 5), ("again", 5)]);
 }
 
@@ -172,14 +148,29 @@ fn a_shape_goes_on_from_the_last_level_that_was_done() {
             (cells: 16, texel_cells: 12, steps: 54, hold: 5), (cells: 20, texel_cells: 16, steps: 12),
         ], batch: 64, silhouette_batch: 32, cameras: PosesAndFocal, exposure: Color),
         Fit(name: "fit", steps: 10, batch: 64), Render(name: "novel"), Save(), Export(),"#;
-    let text = scene("Unknown(cells: 16, texture_size: 128)", "", passes);
+    let mesh = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 64)"#;
+    let text = changed(&scene("", passes), mesh, "Unknown(cells: 16, texture_size: 128)");
     survives(&data, &text, &[("shape", 1), ("shape", 53), ("shape", 63), ("fit", 7)]);
 }
 
 /// A fit, and another that takes some seconds.
 fn long_fits() -> String {
     let passes = r#"Fit(name: "fit", steps: 10, batch: 64), Fit(name: "again", steps: 800, batch: 64, vertices: true), Save(),"#;
-    scene(MESH, "", passes)
+    scene("", passes)
+}
+
+/// The results of these without a break.
+static WHOLE: LazyLock<BTreeMap<String, String>> = LazyLock::new(|| {
+    let data = Data::new();
+    data.run(&long_fits(), "whole", &["--quiet", "--threads", "2"]).succeeded();
+    results(&data, "whole")
+});
+
+/// A run of these whose second fit is at work.
+fn at_work(data: &Data) -> AtWork {
+    let at_work = AtWork::start(data, &long_fits(), &["--threads", "2"], "again");
+    at_work.until_a_step();
+    at_work
 }
 
 fn resumed(data: &Data, arguments: &[&str]) -> Outcome {
@@ -189,49 +180,44 @@ fn resumed(data: &Data, arguments: &[&str]) -> Outcome {
 #[test]
 fn a_killed_process_goes_on_with_what_it_was_begun_with_and_nothing_else() {
     let data = Data::new();
-    let arguments = ["--threads", "2"];
-    data.run(&long_fits(), "whole", &[&["--quiet"], &arguments[..]].concat()).succeeded();
-    let at_work = AtWork::start(&data, &long_fits(), &arguments, "again");
-    at_work.until_a_step();
-    at_work.kill();
+    at_work(&data).kill();
     let refused = |arguments: &[&str], words: &[&str]| resumed(&data, arguments).refused(words);
     refused(&["--seed", "9"], &["scene is not the one", "--force"]);
     refused(&["--set", "passes.again.rates.light=0.011"], &["scene is not the one"]);
     refused(&["--force"], &["--resume"]);
-    let [photograph, other] = [0, 1].map(|i| data.path(format!("train/image/rgb_{i:06}.exr")));
-    let bytes = std::fs::read(&photograph).unwrap();
-    std::fs::copy(other, &photograph).unwrap();
+    let photograph = "train/image/rgb_000000.exr";
+    let bytes = data.bytes(photograph);
+    data.write(photograph, data.bytes("train/image/rgb_000001.exr"));
     refused(&[], &["rgb_000000.exr is not what it was", "Put it back"]);
-    std::fs::write(&photograph, bytes).unwrap();
-    let begun = data.path("out/run.json");
-    let text = std::fs::read_to_string(&begun).unwrap();
-    let version = serde_json::from_str::<Value>(&text).unwrap()["version"].as_str().unwrap().to_owned();
-    std::fs::write(&begun, text.replace(&version, "0.0.1")).unwrap();
+    data.write(photograph, bytes);
+    let begun = data.text("out/run.json");
+    let version = data.manifest("out")["version"].as_str().unwrap().to_owned();
+    data.write("out/run.json", begun.replace(&version, "0.0.1"));
     refused(&[], &["begun by version 0.0.1"]);
-    std::fs::write(&begun, text).unwrap();
-    resumed(&data, &[]).succeeded();
-    assert_eq!(results(&data.path("out")), results(&data.path("whole")));
-    let again = resumed(&data, &[]).succeeded();
-    assert_eq!(results(&data.path("out")), results(&data.path("whole")), "{}", again.stderr);
+    data.write("out/run.json", begun);
+    // A finished run is left as it is.
+    for _ in 0..2 {
+        let said = resumed(&data, &[]).succeeded().stderr;
+        assert_eq!(results(&data, "out"), *WHOLE, "{said}");
+    }
 }
 
 #[test]
 fn a_resumed_run_reports_what_was_done_before_its_break() {
     let data = Data::new();
     let passes = r#"Fit(name: "fit", steps: 6, batch: 64), Fit(name: "again", steps: 6, batch: 64),"#;
-    let (text, out) = (scene(MESH, "", passes), data.path("out"));
-    let page = || std::fs::read_to_string(out.join("report.html")).unwrap();
+    let text = scene("", passes);
+    let page = || data.text("out/report.html");
     run(&data, &text, "out", false, Some(("again", 5))).unwrap_err();
-    let before = manifest(&out)["passes"][0].clone();
+    let before = data.manifest("out")["passes"][0].clone();
     assert!(before["secs"].is_number() && before["said"].to_string().contains("6 steps"), "{before}");
     assert!(page().contains("s-running") && page().contains("fit: albedo"));
     run(&data, &text, "out", true, None).unwrap().unwrap();
-    let after = manifest(&out);
+    let after = data.manifest("out");
     assert_eq!(after["passes"][0], before);
     assert!(after["said"].to_string().contains("goes on in pass again"), "{after}");
-    assert!(
-        after["passes"][1]["secs"].is_number() && after["passes"][1]["said"].to_string().contains("6 steps")
-    );
+    let again = &after["passes"][1];
+    assert!(again["secs"].is_number() && again["said"].to_string().contains("6 steps"), "{again}");
     for words in ["s-finished", "fit: albedo", "again: albedo", "fit: 6 steps", "again: 6 steps"] {
         assert!(page().contains(words), "no {words:?} in the report");
     }
@@ -241,26 +227,23 @@ fn a_resumed_run_reports_what_was_done_before_its_break() {
 #[test]
 fn a_stopped_process_goes_on_and_its_first_results_are_replaced() {
     let data = Data::new();
-    data.run(&long_fits(), "whole", &["--quiet", "--threads", "2"]).succeeded();
-    let at_work = AtWork::start(&data, &long_fits(), &["--threads", "2"], "again");
-    at_work.until_a_step();
+    let at_work = at_work(&data);
     at_work.signal("TERM");
     assert_eq!(at_work.ended(), Some(143));
-    assert_eq!(states(&manifest(&data.path("out"))), ["finished", "interrupted", "finished"]);
+    assert_eq!(data.states("out"), ["finished", "interrupted", "finished"]);
     resumed(&data, &[]).succeeded();
-    assert_eq!(results(&data.path("out")), results(&data.path("whole")));
+    assert_eq!(results(&data, "out"), *WHOLE);
 }
 
 #[test]
 fn without_a_run_to_go_on_with_one_begins() {
     let data = Data::new();
-    let text = scene(MESH, "", r#"Fit(name: "fit", steps: 4, batch: 128),"#);
+    let text = scene("", r#"Fit(name: "fit", steps: 4, batch: 128),"#);
     data.write("scene.ron", &text);
     resumed(&data, &[]).succeeded();
-    assert_eq!(manifest(&data.path("out"))["state"], "finished");
+    assert_eq!(data.manifest("out")["state"], "finished");
     assert!(!data.path("out/.checkpoint").exists());
     // What no run has written is left alone.
-    std::fs::create_dir(data.path("other")).unwrap();
     data.write("other/mine.txt", "mine");
     data.run(&text, "other", &["--resume"]).refused(&[]);
     assert_eq!(files_below(&data.path("other")), ["mine.txt"]);
@@ -271,9 +254,7 @@ fn without_a_run_to_go_on_with_one_begins() {
 #[test]
 fn results_that_cannot_be_gone_on_with_stay() {
     let data = Data::new();
-    let endless =
-        r#"Fit(name: "fit", steps: 4), Fit(name: "endless", steps: 1500000000, batch: 64), Save(),"#;
-    let endless = scene(MESH, "", endless);
+    let endless = scene("", &[r#"Fit(name: "fit", steps: 4), "#, ENDLESS, "Save(),"].concat());
     let at_work = AtWork::start(&data, &endless, &["--threads", "2"], "endless");
     at_work.until_a_step();
     at_work.signal("TERM");
@@ -284,7 +265,7 @@ fn results_that_cannot_be_gone_on_with_stay() {
     let refused = |words: &[&str]| resumed(&data, &[]).refused(words);
     refused(&["kept no checkpoints", "--force"]);
     assert_eq!(files_below(&data.path("out")), before);
-    let text = scene(MESH, "", r#"Fit(name: "fit", steps: 4, batch: 128),"#);
+    let text = scene("", r#"Fit(name: "fit", steps: 4, batch: 128),"#);
     data.run(&text, "out", &["--force", "--quiet"]).succeeded();
     data.write("scene.ron", text.replace("steps: 4", "steps: 5"));
     refused(&["has finished", "another scene", "--force"]);
@@ -299,15 +280,10 @@ fn other_cameras_are_not_gone_on_with() {
     }
     let camera = |focal: f32| data.write_colmap(&["a.exr", "b.exr"], focal);
     camera(40.0);
-    let surface = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 16)"#;
-    let material = "material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0, 0, 0), roughness: Fixed(1))),";
-    let fixed = scene(surface, material, r#"Render(name: "novel", render: (views: All)),"#)
-        .replace(r#"Dataset(path: "$DATA")"#, r#"Dataset(path: "$DATA/colmap")"#)
-        .replace("Unknown(lobes: 6)", r#"Fixed(Npy(path: "$DATA/evening.npy"))"#);
-    run(&data, &fixed, "out", false, Some(("novel", 1))).unwrap_err();
+    run(&data, &colmap_scene(), "out", false, Some(("novel", 1))).unwrap_err();
     camera(41.0);
-    let error = run(&data, &fixed, "out", true, None).unwrap().unwrap_err();
+    let error = run(&data, &colmap_scene(), "out", true, None).unwrap().unwrap_err();
     assert!(error.to_string().contains("cameras"), "{error}");
     camera(40.0);
-    run(&data, &fixed, "out", true, None).unwrap().unwrap();
+    run(&data, &colmap_scene(), "out", true, None).unwrap().unwrap();
 }

@@ -1,6 +1,6 @@
 //! A wrong scene file gives one clear report with file, line, column and caret, exit code 2, and writes nothing.
 
-use crate::common::{self, Data, Outcome, changed, files_below, flat};
+use crate::common::{Data, Outcome, changed, files_below, flat};
 
 /// A scene that is right, without outside files.
 const RIGHT: &str = r#"Scene(
@@ -8,10 +8,7 @@ const RIGHT: &str = r#"Scene(
     surface: Sphere(radius: 0.8),
     views: Cameras([(name: "front", eye: (0, 0, 3), width: 16, height: 16)]),
     light: Fixed(Lobes(lobes: [(axis: (0, 1, 0), sharpness: 5, amplitude: (1, 1, 1))])),
-    material: (
-        albedo: Fixed(Constant(0.5, 0.5, 0.5)),
-        specular: (albedo: Fixed(0.3, 0.3, 0.3), roughness: Fixed(0.3)),
-    ),
+    material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0.3, 0.3, 0.3), roughness: Fixed(0.3))),
     passes: [
         Render(name: "novel", render: (exposure: 0.5)),
         Edit(name: "edited", edits: [Diffuse(action: Set(0.8, 0.1, 0.1))]),
@@ -23,9 +20,8 @@ const RIGHT: &str = r#"Scene(
 #[track_caller]
 fn lobelia(command: &str, scene: &str, arguments: &[&str]) -> Outcome {
     let folder = Data::bare();
-    std::fs::write(folder.path("scene.ron"), scene).unwrap();
-    let mut program = common::command(&[command, "scene.ron"]);
-    let outcome = Outcome::of(program.args(arguments).current_dir(folder.root()));
+    folder.write("scene.ron", scene);
+    let outcome = folder.lobelia(&[&[command, "scene.ron"], arguments].concat());
     assert_eq!(files_below(folder.root()), ["scene.ron"], "something was written");
     outcome
 }
@@ -43,9 +39,14 @@ fn wrong(from: &str, to: &str) -> String {
     changed(RIGHT, from, to)
 }
 
-/// Expects a report about `scene` at the line and column of `caret`, with an underline and all `words`.
+/// Expects a report about `RIGHT` with `from` replaced by `to`, at the line and column of `caret`, with an underline and all `words`.
 #[track_caller]
-fn refused(scene: &str, caret: &str, words: &[&str]) {
+fn refused(from: &str, to: &str, caret: &str, words: &[&str]) {
+    refused_scene(&wrong(from, to), caret, words);
+}
+
+#[track_caller]
+fn refused_scene(scene: &str, caret: &str, words: &[&str]) {
     refused_with("check", scene, &[], caret, scene, words);
 }
 
@@ -73,137 +74,120 @@ fn a_right_scene_is_fine() {
 }
 
 #[test]
-fn a_wrong_field_names_the_nearest_right_one() {
-    let scene = wrong("roughness:", "rougness:");
-    refused(&scene, "rougness", &["unknown field `rougness`", "Did you mean `roughness`?"]);
-    let scene = wrong("exposure:", "colour:");
-    refused(&scene, "colour", &["unknown field `colour`", "`samples_per_pixel`"]);
+fn a_wrong_word_names_the_nearest_right_one_or_all() {
+    let words = ["unknown field `rougness`", "Did you mean `roughness`?"];
+    refused("roughness:", "rougness:", "rougness", &words);
+    refused("exposure:", "colour:", "colour", &["unknown field `colour`", "`samples_per_pixel`"]);
+    let words = ["unknown choice `Spere`", "Did you mean `Sphere`?", "`Mesh`"];
+    refused("surface: Sphere", "surface: Spere", "Spere", &words);
+    let words = ["unknown choice `Gxx`", "Did you mean `Ggx`?"];
+    refused("Fixed(0.3))", "Fixed(0.3), ndf: Gxx)", "Gxx", &words);
+    refused("Edit(name", "Scale(name", "Scale(name", &["unknown choice `Scale`", "`Relight`"]);
+    let evaluate = "Evaluate(scores: [(pass: \"nowel\", truth: Folder(\".\"))]),\n    ],\n)";
+    refused("    ],\n)", evaluate, "\"nowel\"", &["Did you mean \"novel\"?"]);
 }
 
 #[test]
 fn published_shading_has_no_ggx() {
     let scene = wrong("exposure: 0.5", "shading: Published").replace("Fixed(0.3))", "Fixed(0.3), ndf: Ggx)");
-    refused(&scene, "Published", &["`Published` shading cannot show", "`ndf: Ggx`", "`Accurate`"]);
+    refused_scene(&scene, "Published", &["`Published` shading cannot show", "`ndf: Ggx`", "`Accurate`"]);
     fine(&scene.replace("Published", "Accurate"), &[]);
 }
 
 #[test]
-fn a_wrong_choice_lists_the_choices() {
-    let scene = wrong("surface: Sphere", "surface: Spere");
-    refused(&scene, "Spere", &["unknown choice `Spere`", "Did you mean `Sphere`?", "`Mesh`"]);
-    let scene = wrong("Fixed(0.3))", "Fixed(0.3), ndf: Gxx)");
-    refused(&scene, "Gxx", &["unknown choice `Gxx`", "Did you mean `Ggx`?"]);
-    let scene = wrong("Edit(name", "Scale(name");
-    refused(&scene, "Scale(name", &["unknown choice `Scale`", "`Relight`"]);
-}
-
-#[test]
 fn a_stroke_has_points_and_a_width() {
-    let stroke =
-        |region: &str| wrong("Set(0.8, 0.1, 0.1)", &format!("Set(0.8, 0.1, 0.1), region: Stroke({region})"));
-    fine(&stroke("points: [(0, 0.8, 0), (0.1, 0.7, 0.3)], radius: 0.2, falloff: 0.1"), &[]);
-    let none = stroke("points: [], radius: 0.2");
-    refused(&none, "[], radius", &["points is 0", "from 1 to 256"]);
-    let far = stroke("points: [(0, 0, 0), (0, inf, 0)], radius: 0.2");
-    refused(&far, "(0, inf", &["points is [0, inf, 0]", "none beyond 1e9"]);
-    let many = stroke(&format!("points: [{}], radius: 0.2", "(0, 0, 0), ".repeat(257)));
-    lobelia("check", &many, &[]).refused(&["points is 257"]);
-    refused(&stroke("points: [(0, 0, 0)], radius: 0"), "0))]", &["radius is 0", "a number above 0"]);
-    refused(&stroke("points: [(0, 0, 0)]"), "Stroke", &["missing field `radius`"]);
+    let set = "Set(0.8, 0.1, 0.1)";
+    let stroke = |region: &str| format!("{set}, region: Stroke({region})");
+    let right = stroke("points: [(0, 0.8, 0), (0.1, 0.7, 0.3)], radius: 0.2, falloff: 0.1");
+    fine(&wrong(set, &right), &[]);
+    let many = format!("points: [{}], radius: 0.2", "(0, 0, 0), ".repeat(257));
+    lobelia("check", &wrong(set, &stroke(&many)), &[]).refused(&["points is 257"]);
+    for (region, caret, words) in [
+        ("points: [], radius: 0.2", "[], radius", ["points is 0", "from 1 to 256"]),
+        ("points: [(0, 0, 0), (0, inf, 0)], radius: 0.2", "(0, inf", ["is [0, inf, 0]", "none beyond 1e9"]),
+        ("points: [(0, 0, 0)], radius: 0", "0))]", ["radius is 0", "a number above 0"]),
+        ("points: [(0, 0, 0)]", "Stroke", ["missing field `radius`", ""]),
+    ] {
+        refused(set, &stroke(region), caret, &words);
+    }
 }
 
 #[test]
-fn a_missing_field_is_named() {
-    refused(&wrong("    version: 1,\n", ""), "Scene", &["missing field `version`"]);
-    refused(&wrong("eye: (0, 0, 3), ", ""), "(name: \"front\"", &["missing field `eye`"]);
-    refused(&wrong("name: \"novel\", ", ""), "Render", &["missing field `name`"]);
-}
-
-#[test]
-fn a_field_given_twice_is_named() {
-    refused(&wrong("version: 1,", "version: 1, seed: 3, seed: 4,"), "seed: 4", &["`seed` is given twice"]);
+fn a_field_that_is_missing_or_given_twice_is_named() {
+    refused("    version: 1,\n", "", "Scene", &["missing field `version`"]);
+    refused("eye: (0, 0, 3), ", "", "(name: \"front\"", &["missing field `eye`"]);
+    refused("name: \"novel\", ", "", "Render", &["missing field `name`"]);
+    refused("version: 1,", "version: 1, seed: 3, seed: 4,", "seed: 4", &["`seed` is given twice"]);
 }
 
 #[test]
 fn a_wrong_type_says_what_was_expected() {
-    refused(&wrong("exposure: 0.5", "exposure: \"high\""), "\"high\"", &["expected a number"]);
-    refused(&wrong("width: 16", "width: -4"), "-4", &["expected a whole number"]);
-    refused(&wrong("width: 16", "width: 1.5"), "1.5", &["expected a whole number"]);
-    refused(&wrong("radius: 0.8", "radius: (1, 2)"), "(1, 2)", &["expected a number"]);
-    refused(&wrong("name: \"novel\"", "name: novel"), "novel", &["expected a string in quotes"]);
-    refused(&wrong("eye: (0, 0, 3)", "eye: 3"), "3, width", &["expected"]);
-    refused(&wrong("eye: (0, 0, 3)", "eye: (0, 3)"), "(0, 3)", &["expected three numbers, found 2"]);
-    refused(&wrong("eye: (0, 0, 3)", "eye: (0, 0, 3, 4)"), "4)", &["expected"]);
-    refused(
-        &wrong("Constant(0.5, 0.5, 0.5)", "Constant((0.5, 0.5, 0.5))"),
-        "(0.5",
-        &["one pair of brackets"],
-    );
-    refused(&wrong("Fixed(Lobes", "Unknown, passes: (Lobes"), "Unknown", &["Write `Unknown()`"]);
+    let constant = "Constant(0.5, 0.5, 0.5)";
+    for (from, to, caret, words) in [
+        ("exposure: 0.5", "exposure: \"high\"", "\"high\"", "expected a number"),
+        ("width: 16", "width: -4", "-4", "expected a whole number"),
+        ("width: 16", "width: 1.5", "1.5", "expected a whole number"),
+        ("radius: 0.8", "radius: (1, 2)", "(1, 2)", "expected a number"),
+        ("name: \"novel\"", "name: novel", "novel", "expected a string in quotes"),
+        ("eye: (0, 0, 3)", "eye: 3", "3, width", "expected"),
+        ("eye: (0, 0, 3)", "eye: (0, 3)", "(0, 3)", "expected three numbers, found 2"),
+        ("eye: (0, 0, 3)", "eye: (0, 0, 3, 4)", "4)", "expected"),
+        (constant, "Constant((0.5, 0.5, 0.5))", "(0.5", "one pair of brackets"),
+        ("Fixed(Lobes", "Unknown, passes: (Lobes", "Unknown", "Write `Unknown()`"),
+        ("version: 1,", "version: 1", "surface", "expected `,` or `)`"),
+    ] {
+        refused(from, to, caret, &[words]);
+    }
 }
 
 #[test]
 fn a_wrong_value_says_the_range() {
-    let roughness = wrong("roughness: Fixed(0.3)", "roughness: Fixed(0)");
-    refused(&roughness, "Fixed(0)", &["roughness is 0", "from 0.03 to 1"]);
-    refused(&wrong("radius: 0.8", "radius: -1"), "-1", &["radius is -1", "a number from"]);
-    refused(&wrong("radius: 0.8", "radius: NaN"), "NaN", &["radius is NaN"]);
-    refused(&wrong("Set(0.8,", "Set(1.8,"), "Set(1.8", &["from 0 to 1"]);
-    refused(&wrong("width: 16", "width: 0"), "0, height", &["width is 0"]);
-    refused(&wrong("version: 1", "version: 2"), "2,", &["version 2", "expected 1"]);
-    refused(&wrong("name: \"edited\"", "name: \"novel\""), "\"novel\", edits", &["two passes are called"]);
-    refused(&wrong("name: \"edited\"", "name: \"../up\""), "\"../up\"", &["letters, digits"]);
-}
-
-#[test]
-fn zero_lobes_are_refused() {
     let lobes = "lobes: [(axis: (0, 1, 0), sharpness: 5, amplitude: (1, 1, 1))]";
-    refused(&wrong(lobes, "lobes: []"), "[])", &["lobes is 0", "from 1 to 2048"]);
+    for (from, to, caret, words) in [
+        ("roughness: Fixed(0.3)", "roughness: Fixed(0)", "Fixed(0)", ["roughness is 0", "from 0.03 to 1"]),
+        ("radius: 0.8", "radius: -1", "-1", ["radius is -1", "a number from"]),
+        ("radius: 0.8", "radius: NaN", "NaN", ["radius is NaN", ""]),
+        ("Set(0.8,", "Set(1.8,", "Set(1.8", ["from 0 to 1", ""]),
+        ("width: 16", "width: 0", "0, height", ["width is 0", ""]),
+        ("version: 1", "version: 2", "2,", ["version 2", "expected 1"]),
+        ("name: \"edited\"", "name: \"novel\"", "\"novel\", edits", ["two passes are called", ""]),
+        ("name: \"edited\"", "name: \"../up\"", "\"../up\"", ["letters, digits", ""]),
+        (lobes, "lobes: []", "[])", ["lobes is 0", "from 1 to 2048"]),
+        // What a fit must find is not used before.
+        ("roughness: Fixed(0.3)", "roughness: Unknown()", "Render", ["needs the roughness", "Put a `Fit`"]),
+        // Too large or too small for the arithmetic.
+        ("radius: 0.8", "radius: 1e20", "1e20", ["a number from", ""]),
+        ("radius: 0.8", "radius: 1e-20", "1e-20", ["a number from", ""]),
+    ] {
+        refused(from, to, caret, &words);
+    }
 }
 
 #[test]
 fn a_missing_file_is_shown_with_its_neighbors() {
-    let scene = wrong("Sphere(radius: 0.8)", "Mesh(path: \"scene.rom\")");
-    refused(&scene, "\"scene.rom\"", &["scene.rom: there is no such file", "The folder has scene.ron."]);
-    let scene = wrong("Sphere(radius: 0.8)", "Mesh(path: \"$DATA/mesh.glb\")");
+    let sphere = "Sphere(radius: 0.8)";
+    let words = ["scene.rom: there is no such file", "The folder has scene.ron."];
+    refused(sphere, "Mesh(path: \"scene.rom\")", "\"scene.rom\"", &words);
+    let words = ["none/albedo.png: there is no such file", "There is no folder none"];
+    refused("Constant(0.5, 0.5, 0.5)", "Texture(\"none/albedo.png\")", "\"none/albedo.png\"", &words);
+    let scene = wrong(sphere, "Mesh(path: \"$DATA/mesh.glb\")");
     refused_with("run", &scene, &[], "\"$DATA/mesh.glb\"", &scene, &["--data DIR"]);
     let said = fine(&scene, &[]);
     assert!(said.contains("1 below $DATA not looked for"), "{said}");
-    let scene = wrong("Constant(0.5, 0.5, 0.5)", "Texture(\"none/albedo.png\")");
-    refused(
-        &scene,
-        "\"none/albedo.png\"",
-        &["none/albedo.png: there is no such file", "There is no folder none"],
-    );
-}
-
-#[test]
-fn an_unknown_pass_is_refused() {
-    let evaluate = "Evaluate(scores: [(pass: \"nowel\", truth: Folder(\".\"))]),\n    ],\n)";
-    refused(&wrong("    ],\n)", evaluate), "\"nowel\"", &["Did you mean \"novel\"?"]);
-}
-
-#[test]
-fn what_a_fit_must_find_is_not_used_before() {
-    let scene = wrong("roughness: Fixed(0.3)", "roughness: Unknown()");
-    refused(&scene, "Render", &["needs the roughness", "Put a `Fit`"]);
 }
 
 #[test]
 fn several_problems_are_told_at_once() {
     let scene = wrong("radius: 0.8", "radius: -1").replace("exposure: 0.5", "exposure: 99");
-    refused(&scene, "-1", &["2 problems in scene.ron", "radius is -1"]);
-    refused(&scene, "99", &["exposure is 99", "from -20 to 20"]);
+    refused_scene(&scene, "-1", &["2 problems in scene.ron", "radius is -1"]);
+    refused_scene(&scene, "99", &["exposure is 99", "from -20 to 20"]);
 }
 
 #[test]
 fn broken_text_shows_what_is_open() {
-    let scene = wrong(
-        "        Edit(name: \"edited\", edits: [Diffuse(action: Set(0.8, 0.1, 0.1))]),\n    ],\n)\n",
-        "",
-    );
-    lobelia("check", &scene, &[]).refused(&["expected a closing `]`", "opened here", "passes: ["]);
-    refused(&wrong("version: 1,", "version: 1"), "surface", &["expected `,` or `)`"]);
+    let scene = &RIGHT[..RIGHT.find("        Edit(").unwrap()];
+    lobelia("check", scene, &[]).refused(&["expected a closing `]`", "opened here", "passes: ["]);
+    lobelia("check", "", &[]).refused(&[]);
 }
 
 #[test]
@@ -232,15 +216,5 @@ fn bad_arguments_are_refused() {
     ] {
         lobelia("run", RIGHT, &arguments).refused(&words);
     }
-    let none = Outcome::of(&mut common::command(&["check", "nowhere/none.ron"]));
-    none.refused(&["none.ron: there is no such file"]);
-    lobelia("check", "", &[]).refused(&[]);
-}
-
-#[test]
-fn surfaces_too_large_for_the_arithmetic_are_refused() {
-    for radius in ["1e20", "1e38", "1e-20"] {
-        let scene = wrong("radius: 0.8", &format!("radius: {radius}"));
-        refused(&scene, radius, &["a number from"]);
-    }
+    Data::bare().refuses(&["check", "nowhere/none.ron"], &["none.ron: there is no such file"]);
 }

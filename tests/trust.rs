@@ -1,15 +1,18 @@
 //! Late failures come first or lose nothing, nonsense is told of, and what a run reads is neither changed nor written over.
 
-use crate::common::{
-    AtStep, Data, NOVEL, SCORES, command, files_below, flat, manifest, save_png, scene, states,
-};
-use lobelia::error::Result;
-use lobelia::pass::progress::{Progress, Silent};
+use crate::common::*;
+use lobelia::pass::progress::Silent;
 use serde_json::json;
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 const FIT: &str = r#"Fit(name: "fit", steps: 30, batch: 256), "#;
+
+/// A right scene.
+fn usual() -> String {
+    scene(&[FIT, NOVEL, SCORES].concat())
+}
+
 // What can fail late fails first.
 
 #[test]
@@ -17,15 +20,9 @@ fn a_test_mask_of_another_size_ends_check_and_run_before_the_first_pass() {
     let data = Data::new();
     let small = image::GrayImage::from_pixel(2, 2, image::Luma([255]));
     save_png(&data.path("test/mask/rgb_000001.png"), &image::DynamicImage::ImageLuma8(small));
-    let scene = scene(&[FIT, NOVEL, SCORES].concat());
-    data.run(&scene, "out", &["--quiet"]).refused(&["the mask has 2×2 pixels, its view 24×24"]);
+    data.run(&usual(), "out", &["--quiet"]).refused(&["the mask has 2×2 pixels, its view 24×24"]);
     assert!(files_below(&data.path("out")).is_empty());
-    data.check(&scene).refused(&["the mask has 2×2 pixels"]);
-}
-
-/// Runs a scene while something changes the data.
-fn run_in(data: &Data, scene: &str, resume: bool, meddler: &dyn Progress) -> Result<()> {
-    data.run_here(scene, "out", Some(Duration::ZERO), resume, meddler)
+    data.check(&usual()).refused(&["the mask has 2×2 pixels"]);
 }
 
 #[test]
@@ -36,17 +33,16 @@ fn a_truth_that_goes_while_the_fit_works_costs_its_scores_alone_and_the_run_goes
     let (truth, aside) = (data.path("test/gt/relit/rgb_000001.exr"), data.path("aside.exr"));
     let (from, to) = (truth.clone(), aside.clone());
     let meddler = AtStep("fit", 5, move || _ = std::fs::rename(&from, &to));
-    let error = run_in(&data, &scene, false, &meddler).unwrap_err();
+    let error = data.run_here(&scene, "out", Some(Duration::ZERO), false, &meddler).unwrap_err();
     assert!(error.to_string().contains("rgb_000001.exr: the file has gone since the run began"), "{error}");
     assert!(error.help().unwrap().contains("--resume"), "{error:?}");
-    let manifest_of = || manifest(&data.path("out"));
-    assert_eq!(states(&manifest_of()), ["finished", "finished", "failed", "finished"]);
+    assert_eq!(data.states("out"), ["finished", "finished", "failed", "finished"]);
     assert!(data.path("out/saved/scene.ron").exists() && data.path("out/metrics.json").exists());
-    assert_eq!(manifest_of()["state"], "failed");
+    assert_eq!(data.manifest("out")["state"], "failed");
     // Back where it was, the run goes on.
     std::fs::rename(aside, truth).unwrap();
-    run_in(&data, &scene, true, &Silent).unwrap();
-    assert_eq!(states(&manifest_of()), ["finished"; 4]);
+    data.run_here(&scene, "out", Some(Duration::ZERO), true, &Silent).unwrap();
+    assert_eq!(data.states("out"), ["finished"; 4]);
 }
 
 // No silent nonsense: see also `guard`.
@@ -54,20 +50,17 @@ fn a_truth_that_goes_while_the_fit_works_costs_its_scores_alone_and_the_run_goes
 #[test]
 fn views_are_reported_and_nothing_is_wrong_with_sound_data() {
     let data = Data::new();
-    data.run(&scene(&[FIT, NOVEL, SCORES].concat()), "out", &["--quiet"]).succeeded();
+    data.run(&usual(), "out", &["--quiet"]).succeeded();
     let metrics = data.metrics("out");
     assert_eq!(metrics["steps_taken_back"], 0);
     // What a survey says before the fit may be there.
     let warnings = metrics["warnings"].to_string();
-    for words in
-        ["no pixel of", "is black in", "overlap to less", "are not explained", "ran away", "taken back"]
-    {
-        assert!(!warnings.contains(words), "{warnings}");
-    }
+    let wrong = ["no pixel of", "is black in", "overlap to less", "not explained", "ran away", "taken back"];
+    assert!(!wrong.iter().any(|words| warnings.contains(words)), "{warnings}");
     let table = data.text("out/scores/views.csv");
-    let mut rows = table.lines();
-    assert_eq!(rows.next(), Some("view,split,pixels,hit,mask_iou,psnr,outliers"));
-    let rows: Vec<Vec<&str>> = rows.map(|row| row.split(',').collect()).collect();
+    let (head, rows) = table.split_once('\n').unwrap();
+    assert_eq!(head, "view,split,pixels,hit,mask_iou,psnr,outliers");
+    let rows: Vec<Vec<&str>> = rows.lines().map(|row| row.split(',').collect()).collect();
     let splits: Vec<&str> = rows.iter().map(|row| row[1]).collect();
     assert_eq!(splits, [&["train"; 6][..], &["test"; 2]].concat(), "{table}");
     for row in &rows {
@@ -82,11 +75,11 @@ fn views_are_reported_and_nothing_is_wrong_with_sound_data() {
 fn a_camera_that_looks_elsewhere_is_named() {
     let data = Data::new();
     // Far enough to the side that no pixel of its mask meets the object.
-    data.change_camera("train", "rgb_000002.exr", |camera| {
-        let w2c = camera["W2C"].as_array_mut().unwrap();
+    data.change_cameras("train", |cameras| {
+        let w2c = &mut cameras["rgb_000002.exr"]["W2C"];
         w2c[3] = (w2c[3].as_f64().unwrap() + 5.0).into();
     });
-    let outcome = data.run(&scene(&[FIT, NOVEL, SCORES].concat()), "out", &[]).succeeded();
+    let outcome = data.run(&usual(), "out", &[]).succeeded();
     let metrics = data.metrics("out");
     let warnings = metrics["warnings"].to_string();
     for word in ["no pixel of view `rgb_000002` was used", "overlap to less than 0.6 in view `rgb_000002`"] {
@@ -99,37 +92,25 @@ fn a_camera_that_looks_elsewhere_is_named() {
 
 #[cfg(unix)]
 #[test]
-fn notes_that_nobody_can_read_do_not_fail_a_run() {
+fn notes_that_nobody_can_read_and_readers_that_go_away_do_not_fail_a_run() {
     let data = Data::new();
-    let scene = scene(&[FIT, NOVEL, SCORES].concat());
-    data.write("scene.ron", &scene);
-    let full = || std::fs::File::options().write(true).open("/dev/full").ok();
-    for (i, to_full) in [false, true].into_iter().enumerate() {
-        let out = data.path(format!("out-{i}"));
-        let line = if to_full { "exec \"$@\" 2>/dev/full >/dev/full" } else { "exec \"$@\" 2>&- >&-" };
-        if to_full && full().is_none() {
+    data.write("scene.ron", usual());
+    for (out, line) in [
+        ("full", "\"$@\" 2>/dev/full >/dev/full"),
+        ("closed", "\"$@\" 2>&- >&-"),
+        ("gone", "\"$@\" 2>&1 | true"),
+    ] {
+        if line.contains("/dev/full") && std::fs::File::options().write(true).open("/dev/full").is_err() {
+            skipped("there is no /dev/full");
             continue;
         }
-        let mut run = std::process::Command::new("sh");
-        run.args(["-c", line, "sh", env!("CARGO_BIN_EXE_lobelia"), "run"]).arg(data.path("scene.ron"));
-        run.arg("--data").arg(data.root()).arg("--out").arg(&out).stdin(Stdio::null());
+        let mut run = Command::new("sh");
+        run.args(["-c", line, "sh", env!("CARGO_BIN_EXE_lobelia"), "run", "scene.ron", "--data", "."]);
+        run.args(["--out", out]).current_dir(data.root()).stdin(Stdio::null());
         assert_eq!(run.status().unwrap().code(), Some(0), "{line}");
-        assert_eq!(manifest(&out)["state"], "finished");
-        assert!(out.join("scores/views.csv").exists());
+        assert_eq!(data.manifest(out)["state"], "finished");
+        assert!(data.path(out).join("scores/views.csv").exists());
     }
-}
-
-#[cfg(unix)]
-#[test]
-fn a_reader_that_goes_away_does_not_fail_a_run() {
-    let data = Data::new();
-    data.write("scene.ron", scene(FIT));
-    let mut run = command(&["run"]);
-    run.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path("out"));
-    let mut run = run.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    drop((run.stdout.take(), run.stderr.take()));
-    assert_eq!(run.wait().unwrap().code(), Some(0));
-    assert!(data.path("out/fit/light.npy").exists());
 }
 
 #[test]
@@ -157,46 +138,33 @@ fn write_triangle(data: &Data, address: &str) {
         "nodes": [{"mesh": 0}], "scenes": [{"nodes": [0]}],
     });
     let corners = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0f32];
-    let buffer = data.path("true").join(address);
-    std::fs::create_dir_all(buffer.parent().unwrap()).unwrap();
-    std::fs::write(buffer, corners.map(f32::to_le_bytes).concat()).unwrap();
+    data.write(format!("true/{address}"), corners.map(f32::to_le_bytes).concat());
     data.write("true/mesh.gltf", document.to_string());
 }
 
 #[test]
-fn what_a_mesh_names_is_never_written_over() {
+fn what_a_mesh_or_a_light_names_is_never_written_over() {
     let data = Data::new();
     write_triangle(&data, "out/novel/a.png");
-    let scene = r#"Scene(version: 1, surface: Mesh(path: "$DATA/true/mesh.gltf", texture_size: 16),
-        views: Cameras([(name: "a", eye: (0, 0, 3), width: 8, height: 8)]),
-        light: Fixed(Lobes(lobes: [(axis: (0, 1, 0), sharpness: 5, amplitude: (1, 1, 1))])),
-        material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0.2, 0.2, 0.2), roughness: Fixed(0.3))),
-        passes: [Render(name: "novel")])"#;
-    data.run(scene, "true/out", &["--quiet", "--force"]).refused(&["pass novel would replace"]);
+    let scene = GRAY_SPHERE
+        .replace("Sphere(", r#"Mesh(path: "$DATA/true/mesh.gltf", "#)
+        .replace("{PASS}", r#"Render(name: "novel")"#);
+    data.run(&scene, "true/out", &["--quiet", "--force"]).refused(&["pass novel would replace"]);
     assert_eq!(data.bytes("true/out/novel/a.png").len(), 36);
+    // The light of photographs that a scene takes.
+    data.write("out/fit/light.npy", data.bytes("evening.npy"));
+    data.write("light.ron", r#"Npy(path: "out/fit/light.npy")"#);
+    let scene = photographed(FIT, r#"Ron(path: "light.ron")"#);
+    data.run(&scene, "out", &["--quiet", "--force"]).refused(&["pass fit would replace"]);
 }
 
 #[test]
 fn what_a_true_mesh_names_is_watched() {
     let data = Data::new();
     write_triangle(&data, "a.bin");
-    let passes = r#"Fit(name: "fit", steps: 30, batch: 256), Render(name: "novel"),
-        Evaluate(scores: [(pass: "novel", truth: Photographs)], mesh: "$DATA/true/mesh.gltf"), "#;
+    let scene = usual().replace("Evaluate(", r#"Evaluate(mesh: "$DATA/true/mesh.gltf", "#);
     let buffer = data.path("true/a.bin");
     let meddler = AtStep("fit", 5, move || std::fs::write(&buffer, [0; 48]).unwrap());
-    let error = run_in(&data, &scene(passes), false, &meddler).unwrap_err();
+    let error = data.run_here(&scene, "out", Some(Duration::ZERO), false, &meddler).unwrap_err();
     assert!(error.to_string().contains("a.bin: the file has changed since the run began"), "{error}");
-}
-
-#[test]
-fn the_light_of_photographs_that_a_scene_takes_is_never_written_over() {
-    let data = Data::new();
-    std::fs::create_dir_all(data.path("out/fit")).unwrap();
-    std::fs::copy(data.path("evening.npy"), data.path("out/fit/light.npy")).unwrap();
-    data.write("light.ron", r#"Npy(path: "out/fit/light.npy")"#);
-    let scene = r#"Scene(version: 1, surface: Sphere(radius: 0.8, texture_size: 16),
-        views: Photographed(cameras: (count: 2, test: 1, size: 8), spp: 1, truth: (albedo: Constant(0.5, 0.5, 0.5),
-            specular: (albedo: (0.2, 0.2, 0.2), roughness: 0.3), light: Ron(path: "light.ron"))),
-        light: Unknown(lobes: 4), passes: [Fit(name: "fit", steps: 2)])"#;
-    data.run(scene, "out", &["--quiet", "--force"]).refused(&["pass fit would replace"]);
 }

@@ -3,8 +3,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lobelia_fuzz::dataset;
-use lobelia_fuzz::read;
+use lobelia_fuzz::{dataset, read};
 
 fuzz_target!(|data: &[u8]| {
     read("transforms.json", data, |_| ());

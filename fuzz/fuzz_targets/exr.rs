@@ -3,9 +3,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lobelia::codec::envmap::read_map;
-use lobelia::codec::exr::read_exr_layers;
-use lobelia::codec::exr_frame::read_frame;
+use lobelia::{codec::envmap::read_map, codec::exr::read_exr_layers, codec::exr_frame::read_frame};
 use lobelia_fuzz::read;
 
 fuzz_target!(|data: &[u8]| {

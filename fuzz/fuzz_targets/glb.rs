@@ -3,8 +3,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use lobelia::codec::gltf::import::read_mesh;
-use lobelia::codec::gltf::material::read_material;
+use lobelia::{codec::gltf::import::read_mesh, codec::gltf::material::read_material};
 use lobelia_fuzz::read;
 
 fuzz_target!(|data: &[u8]| {

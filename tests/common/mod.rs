@@ -4,21 +4,19 @@
 use glam::Mat4;
 use lobelia::codec::exr::{ExrLayers, read_exr_layers};
 use lobelia::codec::exr_frame::{write_channels, write_frame};
-use lobelia::codec::gltf::export::write_glb;
 use lobelia::codec::npy::{NpyConvention, write_lobes};
 use lobelia::pass::progress::{Bar, Progress, Silent};
 use lobelia::pass::{self, RunOptions};
-use lobelia::prelude::*;
 use lobelia::scene::{LoadOptions, load};
+use lobelia::{codec::gltf::export::write_glb, prelude::*};
 use serde_json::{Map, Value, json};
-use std::fs::File;
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
+use std::{fs::File, sync::LazyLock};
 use tempfile::TempDir;
 
 /// Width and height of all images.
@@ -52,25 +50,35 @@ pub fn evening() -> Vec<LightLobe> {
 
 /// The known object, a glossy sphere of two colors, under `lobes`, ready to be rendered.
 pub fn studio(lobes: &[LightLobe]) -> Pipeline {
-    painted_studio(
-        lobes,
-        32,
-        |at| {
-            if at.y > 0.0 { Vec3::new(0.6, 0.3, 0.2) } else { Vec3::new(0.2, 0.35, 0.5) }
-        },
-    )
+    let halves = |at: &Vec3| if at.y > 0.0 { Vec3::new(0.6, 0.3, 0.2) } else { Vec3::new(0.2, 0.35, 0.5) };
+    painted_studio(lobes, 32, halves)
 }
 
 /// Returns the studio with another albedo, in a texture of `texture_size`² texels.
 pub fn painted_studio(lobes: &[LightLobe], texture_size: u32, color: impl Fn(&Vec3) -> Vec3) -> Pipeline {
     let mesh = sphere_mesh(Vec3::ZERO, RADIUS).unwrap();
+    object(mesh, lobes, texture_size, color, SpecularLobe::new(Vec3::splat(0.25), 0.35)).0
+}
+
+/// An object ready to be rendered, and its surface.
+pub fn object(
+    mesh: Mesh,
+    lobes: &[LightLobe],
+    texture_size: u32,
+    color: impl Fn(&Vec3) -> Vec3,
+    material: SpecularLobe,
+) -> (Pipeline, Arc<Surface>) {
     let surface = Arc::new(Surface::new(mesh, texture_size).unwrap());
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FramePlugin);
     let albedo: Vec<Vec3> = surface.atlas().position.iter().map(color).collect();
-    let material = SpecularLobe::new(Vec3::splat(0.25), 0.35);
     spawn_object(&mut pipeline.world, &surface, &albedo, &[material], lobes);
-    pipeline
+    (pipeline, surface)
+}
+
+/// A component of all texels.
+pub fn column<C: Component + Copy>(world: &mut World) -> Vec<C> {
+    read_column::<TexelIndex, C>(world).unwrap()
 }
 
 /// Adds another mesh, without texture coordinates.
@@ -99,18 +107,16 @@ pub fn photographs_of(
     size: u32,
     change: impl Fn(usize, &mut Frame),
 ) -> Vec<ViewRecord> {
-    let cameras = Camera::around(count, DISTANCE, 38.0, size).unwrap().into_iter().enumerate();
-    cameras.map(|(number, camera)| photograph(truth, camera, |frame| change(number, frame))).collect()
-}
-
-/// A training photograph of what `truth` shows, whose frame `change` gets.
-pub fn photograph(truth: &mut Pipeline, camera: Camera, change: impl Fn(&mut Frame)) -> ViewRecord {
-    let mut frame = shoot(truth, camera);
-    change(&mut frame);
-    let (width, height) = (camera.width, camera.height);
-    let photograph = Some(Photograph::of_image(&Image { width, height, pixels: frame.color }));
-    let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
-    ViewRecord { photograph, mask, ..ViewRecord::of_camera("front".into(), Split::Train, camera) }
+    let cameras = Camera::around(count, DISTANCE, 38.0, size).unwrap();
+    let photograph = |(number, camera): (usize, Camera)| {
+        let mut frame = shoot(truth, camera);
+        change(number, &mut frame);
+        let (width, height) = (size, size);
+        let photograph = Some(Photograph::of_image(&Image { width, height, pixels: frame.color }));
+        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
+        ViewRecord { photograph, mask, ..ViewRecord::of_camera("front".into(), Split::Train, camera) }
+    };
+    cameras.into_iter().enumerate().map(photograph).collect()
 }
 
 /// Where the training cameras are.
@@ -161,31 +167,25 @@ impl Data {
     /// The data set of [`Data::new`] in the folder of a run that several tests look at. Only one
     /// process at a time has it.
     pub fn shared(name: &str) -> Self {
-        static LOCK: OnceLock<File> = OnceLock::new();
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
-        LOCK.get_or_init(|| {
-            std::fs::create_dir_all(folder).unwrap();
-            let lock = File::create(folder.join("shared.lock")).unwrap();
+        static LOCK: LazyLock<File> = LazyLock::new(|| {
+            let lock = File::create(concat!(env!("CARGO_TARGET_TMPDIR"), "/shared.lock")).unwrap();
             lock.lock().unwrap();
             lock
         });
-        let root = folder.join(name);
+        LazyLock::force(&LOCK);
+        let root = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         let _ = std::fs::remove_dir_all(&root);
-        std::fs::create_dir(&root).unwrap();
         Self { root, _folder: None }.with_studio()
     }
 
     /// With the files of the data set, which are made once.
     fn with_studio(self) -> Self {
-        static FILES: OnceLock<Vec<(String, Vec<u8>)>> = OnceLock::new();
-        let files = FILES.get_or_init(|| {
-            let made = Self::bare();
+        static FILES: LazyLock<Vec<(String, Vec<u8>)>> = LazyLock::new(|| {
+            let made = Data::bare();
             made.make_studio();
             files_below(made.root()).into_iter().map(|file| (file.clone(), made.bytes(file))).collect()
         });
-        for (file, bytes) in files {
-            self.write(file, bytes);
-        }
+        FILES.iter().for_each(|(file, bytes)| _ = self.write(file, bytes));
         self
     }
 
@@ -193,7 +193,7 @@ impl Data {
         write_glb(&self.path("mesh.glb"), &sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), None).unwrap();
         write_lobes(self.path("evening.npy"), &evening(), NpyConvention::Lobelia).unwrap();
         write_lobes(self.path("day.npy"), &day(), NpyConvention::Lobelia).unwrap();
-        self.photograph(&mut studio(&day()), SIZE);
+        self.photograph(&mut studio(&day()), |from| camera(from, SIZE));
         let mut relit = studio(&evening());
         for (i, from) in TEST.into_iter().enumerate() {
             let frame = shoot(&mut relit, camera(from, SIZE));
@@ -204,10 +204,23 @@ impl Data {
         }
     }
 
-    /// Takes the photographs of both splits again, of what this pipeline shows, `size` pixels wide and high.
-    pub fn photograph(&self, studio: &mut Pipeline, size: u32) {
-        write_split(&self.path("train"), studio, &TRAIN, size);
-        write_split(&self.path("test"), studio, &TEST, size);
+    /// Takes the photographs of both splits again, of what this pipeline shows, by cameras at these directions.
+    pub fn photograph(&self, studio: &mut Pipeline, camera: impl Fn([f32; 3]) -> Camera) {
+        for (split, views) in [("train", &TRAIN[..]), ("test", &TEST)] {
+            let (folder, mut cameras) = (self.path(split), Map::new());
+            for (i, from) in views.iter().enumerate() {
+                let (camera, name) = (camera(*from), format!("rgb_{i:06}"));
+                let frame = shoot(studio, camera);
+                write_image(&folder.join(format!("image/{name}.exr")), &frame.color, frame.width);
+                write_mask(&folder.join(format!("mask/{name}.png")), &frame);
+                let ([fx, fy], [cx, cy]) = (camera.focal, camera.center);
+                let k = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+                let w2c = Mat4::from(camera.world_from_camera.inverse()).transpose().to_cols_array();
+                let size = [camera.width, camera.height];
+                cameras.insert(format!("{name}.exr"), json!({ "K": k, "W2C": w2c, "img_size": size }));
+            }
+            self.write(format!("{split}/cam_dict_norm.json"), Value::from(cameras).to_string());
+        }
     }
 
     pub fn root(&self) -> &Path {
@@ -256,6 +269,20 @@ impl Data {
         self.json(format!("{out}/metrics.json"))
     }
 
+    /// What a run says of itself.
+    #[track_caller]
+    pub fn manifest(&self, out: &str) -> Value {
+        self.json(format!("{out}/run.json"))
+    }
+
+    /// The states of the passes of a run.
+    #[track_caller]
+    pub fn states(&self, out: &str) -> Vec<String> {
+        let manifest = self.manifest(out);
+        let passes = manifest["passes"].as_array().unwrap().iter();
+        passes.map(|pass| pass["state"].as_str().unwrap().to_owned()).collect()
+    }
+
     /// The mean PSNR of the pass `novel` of a run.
     #[track_caller]
     pub fn novel(&self, out: &str) -> f64 {
@@ -283,21 +310,12 @@ impl Data {
         }
     }
 
-    /// Changes the cameras of a split.
-    pub fn change_cameras(&self, split: &str, mut change: impl FnMut(&str, &mut Value)) {
+    /// Changes the cameras of a split, by name.
+    pub fn change_cameras(&self, split: &str, change: impl FnOnce(&mut Value)) {
         let path = format!("{split}/cam_dict_norm.json");
         let mut cameras = self.json(&path);
-        cameras.as_object_mut().unwrap().iter_mut().for_each(|(name, camera)| change(name, camera));
-        std::fs::write(self.path(path), cameras.to_string()).unwrap();
-    }
-
-    /// Changes one camera of a split.
-    pub fn change_camera(&self, split: &str, name: &str, mut change: impl FnMut(&mut Value)) {
-        self.change_cameras(split, |other, camera| {
-            if other == name {
-                change(camera);
-            }
-        });
+        change(&mut cameras);
+        self.write(path, cameras.to_string());
     }
 
     /// Changes the channels of an EXR.
@@ -329,7 +347,7 @@ impl Data {
         resume: bool,
         progress: &dyn Progress,
     ) -> Result<()> {
-        let options = LoadOptions { data: Some(self.root().to_owned()), ..LoadOptions::default() };
+        let options = LoadOptions { data: Some(self.root.clone()), ..LoadOptions::default() };
         let loaded = load(&self.write("scene.ron", scene), &options)?;
         let run = RunOptions { out: self.path(out), checkpoint_every, resume, ..RunOptions::default() };
         pass::run(&loaded, &run, progress)
@@ -347,19 +365,19 @@ impl Data {
         let path = self.write("scene.ron", scene);
         Outcome::of(command(&["check"]).arg(path).arg("--data").arg(self.root()))
     }
-}
 
-fn write_split(folder: &Path, studio: &mut Pipeline, views: &[[f32; 3]], size: u32) {
-    let mut cameras = Map::new();
-    for (i, from) in views.iter().enumerate() {
-        let camera = camera(*from, size);
-        let frame = shoot(studio, camera);
-        let name = format!("rgb_{i:06}");
-        write_image(&folder.join(format!("image/{name}.exr")), &frame.color, frame.width);
-        write_mask(&folder.join(format!("mask/{name}.png")), &frame);
-        cameras.insert(format!("{name}.exr"), camera_entry(&camera));
+    /// Runs a command in this folder.
+    pub fn lobelia(&self, arguments: &[&str]) -> Outcome {
+        Outcome::of(command(arguments).current_dir(self.root()))
     }
-    std::fs::write(folder.join("cam_dict_norm.json"), Value::from(cameras).to_string()).unwrap();
+
+    /// Expects that a command in this folder is refused with all `words`, and writes nothing.
+    #[track_caller]
+    pub fn refuses(&self, arguments: &[&str], words: &[&str]) {
+        let before = files_below(self.root());
+        self.lobelia(arguments).refused(words);
+        assert_eq!(files_below(self.root()), before);
+    }
 }
 
 /// Writes what a frame covers as a mask; folders are made.
@@ -368,13 +386,6 @@ pub fn write_mask(path: &Path, frame: &Frame) {
         image::Luma([(frame.alpha[y as usize * frame.width + x as usize] * 255.0).round() as u8])
     });
     save_png(path, &image::DynamicImage::ImageLuma8(mask));
-}
-
-fn camera_entry(camera: &Camera) -> Value {
-    let ([fx, fy], [cx, cy]) = (camera.focal, camera.center);
-    let k = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-    let w2c = Mat4::from(camera.world_from_camera.inverse()).transpose().to_cols_array();
-    json!({ "K": k, "W2C": w2c, "img_size": [camera.width, camera.height] })
 }
 
 /// Writes an EXR with R, G, B; folders are made.
@@ -387,16 +398,11 @@ pub fn write_image(path: &Path, pixels: &[Vec3], width: usize) {
 
 /// Writes an EXR as another program might: with NaN, too.
 pub fn write_unchecked(path: &Path, layers: &ExrLayers) {
-    use exr::prelude::{
-        AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage,
-    };
-    let channel = |(name, values): (&String, &Vec<f32>)| {
-        AnyChannel::new(name.as_str(), FlatSamples::F32(values.clone()))
-    };
-    let channels = AnyChannels::sort(layers.channels.iter().map(channel).collect());
+    use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, Image, WritableImage};
+    let channels = layers.channels.iter();
+    let channels = channels.map(|(name, x)| AnyChannel::new(name.as_str(), FlatSamples::F32(x.clone())));
     let size = (layers.width as usize, layers.height as usize);
-    let layer = Layer::new(size, LayerAttributes::default(), Encoding::FAST_LOSSLESS, channels);
-    Image::from_layer(layer).write().to_file(path).unwrap();
+    Image::from_channels(size, AnyChannels::sort(channels.collect())).write().to_file(path).unwrap();
 }
 
 /// Writes a PNG; folders are made.
@@ -459,24 +465,21 @@ pub fn changed(text: &str, from: &str, to: &str) -> String {
 
 /// A message on one line, so that a wrapped sentence is found.
 pub fn flat(text: &str) -> String {
-    let words = text.split(|c: char| c.is_whitespace() || c == '│').filter(|word| !word.is_empty());
-    words.collect::<Vec<_>>().join(" ")
+    text.replace('│', " ").split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// All files below a folder by relative path, sorted; empty if there is no such folder.
 pub fn files_below(folder: &Path) -> Vec<String> {
-    fn visit(folder: &Path, root: &Path, files: &mut Vec<String>) {
-        for entry in std::fs::read_dir(folder).into_iter().flatten() {
-            let path = entry.unwrap().path();
+    let (mut files, mut folders) = (Vec::new(), vec![folder.to_owned()]);
+    while let Some(below) = folders.pop() {
+        for path in std::fs::read_dir(below).into_iter().flatten().map(|entry| entry.unwrap().path()) {
             if path.is_dir() {
-                visit(&path, root, files);
+                folders.push(path);
             } else {
-                files.push(path.strip_prefix(root).unwrap().to_str().unwrap().replace('\\', "/"));
+                files.push(path.strip_prefix(folder).unwrap().to_str().unwrap().replace('\\', "/"));
             }
         }
     }
-    let mut files = Vec::new();
-    visit(folder, folder, &mut files);
     files.sort();
     files
 }
@@ -487,26 +490,13 @@ pub fn is_temporary(file: &str) -> bool {
     name.starts_with('.') || name.contains(".part") || name.ends_with(".tmp")
 }
 
-/// The manifest of a run.
-pub fn manifest(out: &Path) -> Value {
-    serde_json::from_slice(&std::fs::read(out.join("run.json")).unwrap()).unwrap()
-}
-
-/// The states of the passes in a manifest.
-pub fn states(manifest: &Value) -> Vec<String> {
-    let passes = manifest["passes"].as_array().unwrap();
-    passes.iter().map(|pass| pass["state"].as_str().unwrap().to_owned()).collect()
-}
-
 /// Does something when the bar of a pass comes to a step.
 #[derive(Clone)]
 pub struct AtStep<F>(pub &'static str, pub u64, pub F);
 
 impl<F: Fn() + Clone + Send + Sync + 'static> Progress for AtStep<F> {
     fn note(&self, _: &str) {}
-
     fn print(&self, _: &str) {}
-
     fn bar(&self, title: &str, _: u64) -> Box<dyn Bar> {
         if title == self.0 { Box::new(Fuse(self.clone(), AtomicU64::new(0))) } else { Box::new(Silent) }
     }
@@ -527,7 +517,6 @@ impl<F: Fn() + Send + Sync> Bar for Fuse<F> {
     }
 
     fn set_message(&self, _: String) {}
-
     fn finish_and_clear(&self) {}
 }
 
@@ -544,7 +533,7 @@ pub struct AtWork {
 impl AtWork {
     /// Starts a run of `scene.ron`, which a signal stops also where the tests themselves ignore it, as after `nohup`.
     pub fn begin(data: &Data, arguments: &[&str]) -> Self {
-        let by: &[&str] = if cfg!(target_os = "linux") { &["env", "--default-signal=INT"] } else { &[] };
+        let by: &[&str] = if cfg!(target_os = "linux") { &["env", "--default-signal=INT,HUP"] } else { &[] };
         Self::begin_by(data, by, arguments)
     }
 
@@ -568,7 +557,7 @@ impl AtWork {
 
     /// Starts a run and waits until a pass is at work.
     pub fn start(data: &Data, scene: &str, arguments: &[&str], pass: &str) -> Self {
-        std::fs::write(data.path("scene.ron"), scene).unwrap();
+        data.write("scene.ron", scene);
         let at_work = Self::begin(data, arguments);
         at_work.until(|event| event["event"] == "pass" && event["name"] == pass);
         at_work
@@ -627,19 +616,6 @@ impl Drop for AtWork {
     }
 }
 
-/// Tells whether this process ignores a signal, as one in the background does; its children then do, too. Says that it is skipped.
-#[cfg(unix)]
-pub fn is_ignored(name: &str, number: u32) -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let mask =
-        status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
-    let is_ignored = mask.is_some_and(|mask| mask >> (number - 1) & 1 == 1);
-    if is_ignored {
-        skipped(&format!("SIG{name} is ignored here"));
-    }
-    is_ignored
-}
-
 /// A gray sphere under a lamp at the side, and a pass `{PASS}`.
 pub const GRAY_SPHERE: &str = r#"Scene(
     version: 1,
@@ -669,4 +645,33 @@ pub fn scene(passes: &str) -> String {
 )
 "#
     )
+}
+
+/// A scene of the data set of which all is known: a gray mesh under the other light.
+pub fn known_scene(passes: &str) -> String {
+    let material = "material: (albedo: Fixed(Constant(0.4, 0.4, 0.4)), \
+                    specular: (albedo: Fixed(0.2, 0.2, 0.2), roughness: Fixed(0.3))),";
+    scene(passes)
+        .replace("Unknown(lobes: 6)", r#"Fixed(Npy(path: "$DATA/evening.npy"))"#)
+        .replace("passes:", &format!("{material}\n    passes:"))
+}
+
+/// A scene of the model that [`Data::write_colmap`] writes.
+pub fn colmap_scene() -> String {
+    known_scene(r#"Render(name: "novel", render: (views: All)),"#)
+        .replace(r#"Dataset(path: "$DATA")"#, r#"Dataset(path: "$DATA/colmap")"#)
+}
+
+/// A right scene.
+pub fn usual() -> String {
+    scene(&[FIT, NOVEL, SCORES].concat())
+}
+
+/// A scene with photographs of its own, taken under this light.
+pub fn photographed(passes: &str, light: &str) -> String {
+    let views = format!(
+        "Photographed(cameras: (count: 6, test: 2, size: 20), spp: 2, truth: (albedo: Constant(0.5, 0.3, 0.2), \
+         specular: (albedo: (0.3, 0.3, 0.3), roughness: 0.25), light: {light}))"
+    );
+    scene(passes).replace(r#"Dataset(path: "$DATA")"#, &views)
 }

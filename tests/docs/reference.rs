@@ -2,10 +2,9 @@
 
 use super::{anchor, files_with, repository};
 use std::fmt::Write as _;
-use syn::punctuated::Punctuated;
 use syn::{
     Attribute, Expr, Field, Fields, GenericArgument, ImplItem, Item, Lit, Meta, Path, PathArguments, Stmt,
-    Token, Type, Variant,
+    Token, Type, Variant, punctuated::Punctuated,
 };
 
 /// The folders of the types, whose names are unique among those that serde reads.
@@ -19,11 +18,12 @@ fn reference_is_what_the_types_say() {
     let files = SOURCES.iter().flat_map(|folder| files_with(folder, "rs"));
     // Functions that give defaults may stand in a file of their own.
     let files = files.filter(|(path, text)| text.contains("Deserialize") || path.contains("scene"));
-    let parsed =
-        files.map(|(path, text)| syn::parse_file(&text).unwrap_or_else(|e| panic!("{path}: {e}")).items);
-    let (pages, problems) = pages_of(&Library(parsed.collect()));
-    assert!(problems.is_empty(), "doc comments and code disagree:\n{}", problems.join("\n"));
-    for ((_, file), page) in PAGES.iter().zip(&pages) {
+    let parsed = files.map(|(path, text)| syn::parse_file(&text).expect(&path).items);
+    let library = Library(parsed.collect());
+    let mut sections = Vec::new();
+    collect(&library, PAGES[0].0, &mut sections);
+    for (number, (_, file)) in PAGES.iter().enumerate() {
+        let page = Page { library: &library, sections: &sections, number, text: String::new() }.written();
         let path = repository().join("docs/src").join(file);
         let mut committed = std::fs::read_to_string(&path).unwrap();
         let page = format!("{}\n{page}", committed.split("\n[`").next().unwrap());
@@ -31,26 +31,21 @@ fn reference_is_what_the_types_say() {
             std::fs::write(&path, &page).unwrap();
             committed.clone_from(&page);
         }
-        let line = committed.lines().zip(page.lines()).position(|(a, b)| a != b).map_or(0, |line| line + 1);
+        let differs = committed.lines().zip(page.lines()).find(|(a, b)| a != b);
         assert!(
             committed == page,
-            "docs/src/{file} is not what the types say (first difference: line {line}). Regenerate it:\n    \
-             LOBELIA_BLESS=1 cargo test --release reference\nand commit the result."
+            "docs/src/{file} is not what the types say: {differs:?}. Regenerate it by \
+             `LOBELIA_BLESS=1 cargo test --release reference` and commit the result."
         );
     }
 }
 
-/// The arguments of the attributes of one name: `#[derive(…)]`, `#[serde(…)]`.
-fn arguments(attributes: &[Attribute], name: &str) -> Vec<Meta> {
+/// Whether `#[name(…)]` has such an argument, and its value if it has one.
+fn argument(attributes: &[Attribute], name: &str, key: &str) -> Option<Option<String>> {
     let parse = Punctuated::<Meta, Token![,]>::parse_terminated;
     let named = attributes.iter().filter(|of| of.path().is_ident(name));
-    named.flat_map(|of| of.parse_args_with(parse).unwrap()).collect()
-}
-
-/// Whether there is such an argument, and its value if it has one.
-fn argument(attributes: &[Attribute], name: &str, key: &str) -> Option<Option<String>> {
-    let arguments = arguments(attributes, name);
-    arguments.iter().find(|of| last(of.path()) == key).map(text)
+    let mut arguments = named.flat_map(|of| of.parse_args_with(parse).unwrap());
+    arguments.find(|of| last(of.path()) == key).map(|of| text(&of))
 }
 
 /// The text of `key = "text"`.
@@ -82,10 +77,8 @@ fn parts(of: &Type) -> (String, Vec<&Type>) {
             let PathArguments::AngleBracketed(inside) = &of.path.segments.last().unwrap().arguments else {
                 return (last(&of.path), Vec::new());
             };
-            let types = inside.args.iter().filter_map(|inside| match inside {
-                GenericArgument::Type(of) => Some(of),
-                _ => None,
-            });
+            let types = inside.args.iter();
+            let types = types.filter_map(|x| if let GenericArgument::Type(of) = x { Some(of) } else { None });
             (last(&of.path), types.collect())
         }
         _ => (String::new(), Vec::new()),
@@ -121,7 +114,7 @@ struct Library(Vec<Vec<Item>>);
 impl Library {
     fn find(&self, wanted: &str) -> Option<Found<'_>> {
         let mut all =
-            self.0.iter().enumerate().flat_map(|(file, items)| items.iter().map(move |item| (file, item)));
+            self.0.iter().enumerate().flat_map(|(file, of)| of.iter().map(move |item| (file, item)));
         all.find_map(|(file, item)| {
             let (name, attributes, fields, variants) = match item {
                 Item::Struct(of) => (&of.ident, &of.attrs, Some(&of.fields), None),
@@ -296,25 +289,6 @@ fn plain(value: &str) -> String {
     value.replace([' ', '_'], "").replace(".0,", ",").replace(".0)", ")")
 }
 
-/// The text of each page, and where doc comments and code disagree.
-fn pages_of(library: &Library) -> (Vec<String>, Vec<String>) {
-    let mut sections = Vec::new();
-    collect(library, PAGES[0].0, &mut sections);
-    let (mut texts, mut problems) = (Vec::new(), Vec::new());
-    for number in 0..PAGES.len() {
-        let mut page =
-            Page { library, sections: &sections, number, text: String::new(), problems: Vec::new() };
-        let own = || sections.iter().filter(move |section| section.1 == number);
-        let links: Vec<String> =
-            own().map(|section| page.link_to(&section.0.name.to_string()).unwrap()).collect();
-        let _ = writeln!(page.text, "{}", links.join(" · "));
-        own().for_each(|section| page.section(section.0));
-        texts.push(page.text);
-        problems.extend(page.problems);
-    }
-    (texts, problems)
-}
-
 /// The type `name` with the index of its page, and all types that it uses, each before what it uses itself.
 fn collect<'a>(library: &'a Library, name: &str, sections: &mut Vec<(Found<'a>, usize)>) {
     let Some(found) = library.find(name) else { return };
@@ -324,8 +298,7 @@ fn collect<'a>(library: &'a Library, name: &str, sections: &mut Vec<(Found<'a>, 
     let begun = PAGES.iter().position(|(first, _)| *first == name);
     sections.push((found, begun.or(sections.last().map(|section| section.1)).unwrap_or(0)));
     let variants = found.variants().map(|(_, variant)| &variant.fields);
-    let mut used: Vec<&Type> =
-        found.fields.into_iter().chain(variants).flatten().map(|field| &field.ty).collect();
+    let mut used: Vec<&Type> = found.fields.into_iter().chain(variants).flatten().map(|of| &of.ty).collect();
     used.reverse();
     while let Some((name, inside)) = used.pop().map(parts) {
         collect(library, &name, sections);
@@ -339,18 +312,26 @@ struct Page<'a> {
     /// Its index in [`PAGES`].
     number: usize,
     text: String,
-    problems: Vec<String>,
 }
 
 impl Page<'_> {
+    /// The text of the page.
+    fn written(mut self) -> String {
+        let own = || self.sections.iter().filter(|section| section.1 == self.number).map(|section| section.0);
+        let links: Vec<String> = own().map(|found| self.link_to(&found.name.to_string()).unwrap()).collect();
+        let founds: Vec<Found> = own().collect();
+        self.text = links.join(" · ") + "\n";
+        founds.into_iter().for_each(|found| self.section(found));
+        self.text
+    }
+
     fn section(&mut self, found: Found) {
         let name = found.name.to_string();
         let lines: Vec<String> = docs(found.attributes).iter().map(|line| self.linked(found, line)).collect();
         let _ = write!(self.text, "\n## {name}\n\n{}\n", lines.join("\n"));
         if let Some(fields) = found.fields {
-            if argument(found.attributes, "serde", "deny_unknown_fields").is_none() {
-                self.problems.push(format!("{name} does not refuse unknown fields"));
-            }
+            let refuses = argument(found.attributes, "serde", "deny_unknown_fields").is_some();
+            assert!(refuses, "{name} does not refuse unknown fields");
             return self.fields(found, &name, fields);
         }
         self.text += "\n| value | meaning |\n| --- | --- |\n";
@@ -376,26 +357,20 @@ impl Page<'_> {
         }
     }
 
-    fn default_and_meaning(&mut self, found: Found, place: &str, field: &Field) -> (String, String) {
+    fn default_and_meaning(&self, found: Found, place: &str, field: &Field) -> (String, String) {
         let docs = self.linked(found, &docs(&field.attrs).join(" "));
-        if docs.is_empty() {
-            self.problems.push(format!("{place} has no doc comment"));
-        }
+        assert!(!docs.is_empty(), "{place} has no doc comment");
         match (said(&docs), self.library.default_of(found, field)) {
             (_, None) => ("required".to_owned(), docs),
             (Some((value, exact, rest)), Some(code)) => {
-                let differs =
-                    code.filter(|code| exact && !code.contains("()") && plain(code) != plain(&value));
-                if let Some(code) = differs {
-                    self.problems.push(format!("{place}: the comment says default {value}, the code {code}"));
+                if let Some(code) = code.filter(|code| exact && !code.contains("()")) {
+                    let is_said = plain(&value) == plain(&code);
+                    assert!(is_said, "{place}: the comment says default {value}, the code {code}");
                 }
                 (cell(&if exact { format!("`{value}`") } else { value }), rest)
             }
             (None, Some(Some(code))) => (if code == "none" { code } else { format!("`{code}`") }, docs),
-            (None, Some(None)) => {
-                self.problems.push(format!("{place}: say the default in the doc comment"));
-                (String::new(), docs)
-            }
+            (None, Some(None)) => panic!("{place}: say the default in the doc comment"),
         }
     }
 

@@ -53,11 +53,10 @@ pub(super) fn check(scene: &mut Scene, base_dir: &Path, options: &LoadOptions) -
     }
     if let Views::Photographed(made) = &scene.views
         && !made.truth.other_lights.is_empty()
+        && !matches!(scene.light, Light::Unknown(_))
     {
-        if !matches!(scene.light, Light::Unknown(_)) {
-            let expected = "expected Unknown(…), as there are `other_lights`, which a fit is to find as well";
-            root.at("light").fail("the light is given", expected, "");
-        }
+        let expected = "expected Unknown(…), as there are `other_lights`, which a fit is to find as well";
+        root.at("light").fail("the light is given", expected, "");
     }
     light_frame(&root, scene.light_frame);
     material(&root.at("material"), &mut scene.material);

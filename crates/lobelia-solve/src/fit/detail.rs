@@ -578,10 +578,8 @@ mod tests {
                 assert!((share(&pixel, texel) - share(&again, texel)).abs() < 1e-4, "{uv} {texel}");
             }
             assert!((pixel.facing - again.facing).abs() < 1e-3 && pixel.side.abs_diff_eq(again.side, 1e-3));
-            assert_eq!(
-                (pixel.unit, pixel.specular, pixel.observed),
-                (again.unit, again.specular, again.observed)
-            );
+            assert_eq!((pixel.unit, pixel.specular), (again.unit, again.specular));
+            assert_eq!(pixel.observed, again.observed);
         }
     }
 
@@ -613,11 +611,8 @@ mod tests {
 
     #[test]
     fn residuals_that_the_model_can_explain_are_explained() {
-        let truth = TexelChange {
-            albedo: Vec3::new(0.2, -0.1, 0.3),
-            sheen: Vec3::new(-0.3, 0.2, 0.1),
-            tilt: Vec3::new(0.4, -0.2, 0.0),
-        };
+        let (sheen, tilt) = (Vec3::new(-0.3, 0.2, 0.1), Vec3::new(0.4, -0.2, 0.0));
+        let truth = TexelChange { albedo: Vec3::new(0.2, -0.1, 0.3), sheen, tilt };
         let found = equations(truth, 1.0).solve(true, Some((COLOR, Vec3::ZERO)));
         assert!((found.albedo - truth.albedo).abs().max_element() < 0.02, "{found:?}");
         assert!((found.sheen - truth.sheen).abs().max_element() < 0.05, "{found:?}");
@@ -639,16 +634,10 @@ mod tests {
         let found = sums.solve(false, Some((COLOR, Vec3::ZERO)));
         assert!(found.albedo.length() > 0.5 * (COLOR * 0.2).length(), "{found:?}");
         assert!(found.tilt.length() < 0.25, "{found:?}");
-    }
-
-    #[test]
-    fn a_tilt_that_nothing_supports_goes() {
+        // A tilt that nothing supports goes.
         let found = equations(TexelChange::default(), 1.0).solve(true, Some((COLOR, Vec3::Z * 0.5)));
         assert!((found.tilt.z + 0.5).abs() < 1e-3, "a tilt along the normal is not seen: {found:?}");
-    }
-
-    #[test]
-    fn a_texel_that_is_not_seen_not_lit_or_black_has_no_tilt() {
+        // A texel that is not seen, not lit or black has none.
         let before = Some((COLOR, Vec3::ZERO));
         assert_eq!(TexelEquations::default().solve(true, before), TexelChange::default());
         let mut dark = TexelEquations::default();
@@ -671,18 +660,17 @@ mod tests {
         let color = Vec3::splat(0.4);
         let found = sums.solve(true, Some((color, Vec3::ZERO)));
         let by = |weight: &dyn Fn(f32, Vec3) -> f32| -> f32 {
-            let row = |(i, &(u, r, w)): (u32, &(f32, f32, f32))| {
+            let of_row = (0..).zip(&rows).map(|(i, &(u, r, w))| {
                 let (g, v) = view(40 + 7 * i, 1.0);
                 let change = found.albedo.x + found.sheen.x * g + color.x * found.tilt.dot(v);
                 w * u * weight(g, v) * (r - change * u)
-            };
-            (0..).zip(&rows).map(row).sum()
+            });
+            of_row.sum()
         };
         assert!((by(&|_, _| 1.0) - STILL_ALBEDO * one * found.albedo.x).abs() < 1e-4);
         let all = one * sums.seen;
         assert!((by(&|g, _| g) - (STILL_SHEEN * one + STILL_PART * all) * found.sheen.x).abs() < 1e-4);
-        assert!(
-            (by(&|_, v| color.x * v.x) - color.x * color.x * STILL_TILT * one * found.tilt.x).abs() < 1e-4
-        );
+        let still = color.x * color.x * STILL_TILT * one;
+        assert!((by(&|_, v| color.x * v.x) - still * found.tilt.x).abs() < 1e-4);
     }
 }

@@ -511,25 +511,17 @@ impl Posterior {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lobelia_sg::brdf::Ndf;
-    use lobelia_sg::published::Lobe;
     use lobelia_sg::shading::{Layers, LobeColumns};
-    use lobelia_world::light::LightLobe;
-    use lobelia_world::sample::point::SurfacePoint;
+    use lobelia_sg::{brdf::Ndf, published::Lobe};
+    use lobelia_world::{light::LightLobe, sample::point::SurfacePoint};
 
     #[test]
     fn words_leave_out_what_is_given() {
         assert_eq!(Determined::default().words(), None);
-        let light = Determined {
-            color: Some(0.044),
-            brightness: Some(0.51),
-            lobes: Some(50.7),
-            ..Determined::default()
-        };
-        assert_eq!(
-            light.words().unwrap(),
-            "color of the light to 4 %, its brightness not at all, 51 lobes of it"
-        );
+        let (color, brightness, lobes) = (Some(0.044), Some(0.51), Some(50.7));
+        let light = Determined { color, brightness, lobes, ..Determined::default() };
+        let words = "color of the light to 4 %, its brightness not at all, 51 lobes of it";
+        assert_eq!(light.words().unwrap(), words);
     }
 
     #[test]
@@ -547,18 +539,15 @@ mod tests {
 
     #[test]
     fn patches_are_near_and_turned_alike() {
-        let at = |x: f32, normal: Vec3| Observation {
-            point: SurfacePoint { position: Vec3::new(x, 0.0, 0.0), normal, ..SurfacePoint::default() },
-            ..Observation::default()
-        };
-        let seen =
-            [at(0.0, Vec3::X), at(1.0, Vec3::X), at(0.001, Vec3::X), at(0.001, -Vec3::X), at(0.03, Vec3::X)];
+        let seen = [(0.0, 1.0), (1.0, 1.0), (0.001, 1.0), (0.001, -1.0), (0.03, 1.0)].map(|(x, facing)| {
+            let (position, normal) = (Vec3::X * x, Vec3::X * facing);
+            let point = SurfacePoint { position, normal, ..SurfacePoint::default() };
+            Observation { point, ..Observation::default() }
+        });
         let patches = patches(&seen, [16.0, 128.0], true);
-        let found: Vec<(Vec<u32>, usize)> = patches
-            .patches
-            .iter()
-            .map(|(run, cluster)| (patches.pixels[run.clone()].to_vec(), *cluster))
-            .collect();
+        let of_patch =
+            |(run, cluster): &(Range<usize>, usize)| (patches.pixels[run.clone()].to_vec(), *cluster);
+        let found: Vec<(Vec<u32>, usize)> = patches.patches.iter().map(of_patch).collect();
         // The side of a wall that is seen from behind is a patch of its own; all but the far one are in one cluster.
         assert_eq!(found, [(vec![3], 0), (vec![0, 2], 0), (vec![4], 0), (vec![1], 1)]);
         assert_eq!(patches.clusters, 2);
@@ -566,19 +555,17 @@ mod tests {
 
     #[test]
     fn rows_of_lobes_sum_up_to_radiance() {
-        let point =
-            ShadePoint { normal: [0.0, 0.0, 1.0], to_viewer: [0.6, 0.0, 0.8], albedo: [0.4, 0.3, 0.2] };
+        let (normal, to_viewer) = ([0.0, 0.0, 1.0], [0.6, 0.0, 0.8]);
+        let points = [ShadePoint { normal, to_viewer, albedo: [0.4, 0.3, 0.2] }];
         let specular = SpecularValue { albedo: [0.1; 3], roughness: 0.4, ndf: Ndf::Sg };
-        let lobe = |x: f32, sharpness| Lobe {
-            axis: [x, 0.0, (1.0 - x * x).sqrt()],
-            sharpness,
-            amplitude: [1.0, 2.0, 3.0],
-        };
-        let columns =
-            LobeColumns::from_lobes([lobe(-0.5, 10.0), lobe(0.3, 2.0), lobe(0.9, 40.0)].into_iter());
+        let lobes = [(-0.5, 10.0), (0.3, 2.0), (0.9, 40.0)].map(|(x, sharpness): (f32, f32)| {
+            let axis = [x, 0.0, (1.0 - x * x).sqrt()];
+            Lobe { axis, sharpness, amplitude: [1.0, 2.0, 3.0] }
+        });
+        let columns = LobeColumns::from_lobes(lobes.into_iter());
         let form = ClosedForm::default();
         let mut shaded = [Layers::default()];
-        form.shade(&[point], &specular, &columns, &mut shaded);
+        form.shade(&points, &specular, &columns, &mut shaded);
         let sample = Sample {
             diffuse: Vec3::ONE,
             residual: Vec3::ZERO,
@@ -586,13 +573,13 @@ mod tests {
             by_global: [Vec3::splat(7.0), Vec3::splat(9.0)],
         };
         let mut response = vec![0.0; RESPONSE_ROWS * columns.stride()];
-        form.respond(&[point], &specular, &columns, &mut response);
+        form.respond(&points, &specular, &columns, &mut response);
         for count in [3, 2] {
             let merged = MergedLobes::new(&columns, count);
             assert_eq!(merged.len(), count);
             let shaded_point = ShadedSamples {
                 form,
-                points: &[point],
+                points: &points,
                 specular: &specular,
                 lighting: Lighting::from(&columns),
                 merged: &merged,
@@ -627,54 +614,49 @@ mod tests {
         // No lobe; ten thousand measurements of the first parameter with noise of variance 0.04, each a cluster; the second is given.
         let measured = 10_000;
         let noise = |i: usize| if i.is_multiple_of(2) { 0.2 } else { -0.2 };
-        let evidence = Evidence {
+        let evidence = |curvature: [f64; 4], gradients| Evidence {
             parameters: 2,
-            curvature: vec![measured as f64, 5.0, 5.0, 9.0],
-            gradients: (0..measured).map(|i| vec![noise(i), 3.0]).collect(),
+            curvature: curvature.to_vec(),
+            gradients,
             variance: 0.04,
         };
-        let posterior = evidence.posterior([false, true, false]).unwrap();
+        let curvature = [measured as f64, 5.0, 5.0, 9.0];
+        let each = (0..measured).map(|i| vec![noise(i), 3.0]).collect();
+        let posterior = evidence(curvature, each).posterior([false, true, false]).unwrap();
         let known = posterior.deviation(&[1.0, 0.0]);
         assert!((known / 0.002 - 1.0).abs() < 1e-3 && posterior.deviation(&[0.0, 1.0]) == 0.0, "{known}");
         // The same noise in a hundred clusters that are alike within.
         let gradients = (0..100).map(|i| vec![100.0 * noise(i), 0.0]).collect();
-        let alike = Evidence { gradients, ..evidence }.posterior([false, true, false]).unwrap();
+        let alike = evidence(curvature, gradients).posterior([false, true, false]).unwrap();
         assert!((alike.deviation(&[1.0, 0.0]) / 0.0201 - 1.0).abs() < 1e-2);
-        let nan = |clusters| Evidence {
-            parameters: 2,
-            curvature: vec![f64::NAN; 4],
-            gradients: vec![vec![0.0; 2]; clusters],
-            variance: 1.0,
-        };
-        assert!(nan(100).posterior([true; 3]).is_none() && nan(3).posterior([true; 3]).is_none());
+        for clusters in [100, 3] {
+            let nan = evidence([f64::NAN; 4], vec![vec![0.0; 2]; clusters]);
+            assert!(nan.posterior([true; 3]).is_none());
+        }
     }
 
     #[test]
     fn of_a_light_that_nothing_shows_nothing_is_known_however_many_lobes_it_has() {
         for lobes in [1, 100] {
             let n = 3 * lobes + 2;
-            let evidence = |curvature: f64| Evidence {
-                parameters: n,
-                // The power of each lobe is measured, or not.
-                curvature: (0..n * n).map(|at| if at / n == at % n { curvature } else { 0.0 }).collect(),
-                gradients: vec![vec![0.0; n]; 30],
-                variance: 1.0,
+            // The power of each lobe is measured, or not.
+            let posterior = |measured: f64| {
+                let curvature = (0..n * n).map(|at| if at / n == at % n { measured } else { 0.0 }).collect();
+                let gradients = vec![vec![0.0; n]; 30];
+                Evidence { parameters: n, curvature, gradients, variance: 1.0 }.posterior([true; 3]).unwrap()
             };
             let share = 1.0 / lobes as f64;
-            let brightness: Vec<f64> =
-                (0..n).map(|i| if i < 3 * lobes { share / 3.0 } else { 0.0 }).collect();
-            let red: Vec<f64> = (0..n)
-                .map(|i| match i / lobes {
-                    0 => share * 2.0 / 3.0,
-                    1 | 2 if i < 3 * lobes => -share / 3.0,
-                    _ => 0.0,
-                })
-                .collect();
-            let unknown = evidence(0.0).posterior([true; 3]).unwrap();
+            // A share of each channel of all lobes, then nothing of the two that all samples share.
+            let direction = |of_channels: [f64; 3]| -> Vec<f64> {
+                let of_lobes = of_channels.into_iter().flat_map(|part| vec![share * part / 3.0; lobes]);
+                of_lobes.chain([0.0; 2]).collect()
+            };
+            let (brightness, red) = (direction([1.0; 3]), direction([2.0, -1.0, -1.0]));
+            let unknown = posterior(0.0);
             let found = [&brightness, &red].map(|direction| unknown.deviation(direction));
             assert!(found[0] >= 1.0 && found[1] > 0.8, "{found:?}");
             assert!(unknown.effective_of_light().abs() < 1e-9);
-            let known = evidence(1e6).posterior([true; 3]).unwrap();
+            let known = posterior(1e6);
             assert!(known.deviation(&brightness) < 1e-3 && known.effective_of_light() > 2.9 * lobes as f64);
         }
     }

@@ -212,7 +212,7 @@ mod tests {
     #[test]
     fn groups_have_turns_in_proportion_to_their_pixels() {
         let mut turns = Turns::of(&[6000, 0, 2000], always(1000), 50);
-        let taken: Vec<Turn> = (0..8).map(|_| turns.next()).collect();
+        let taken = [(); 8].map(|()| turns.next());
         let of = |group: u32| taken.iter().filter(|turn| turn.group == LightGroup(group)).collect::<Vec<_>>();
         assert_eq!((of(0).len(), of(1).len(), of(2).len()), (6, 0, 2));
         let rows: Vec<_> = of(0).iter().map(|turn| turn.rows.start).collect();
@@ -227,28 +227,25 @@ mod tests {
         assert_eq!((of(0), of(2)), (vec![10, 11, 12, 13, 14, 15], vec![4, 5]));
         // A few pixels have some turns.
         let mut turns = Turns::of(&[990, 10], always(100), 50);
-        let few = (0..80).map(|_| turns.next()).filter(|turn| turn.group == LightGroup(1));
-        let few: Vec<Turn> = few.collect();
+        let few: Vec<Turn> =
+            (0..80).map(|_| turns.next()).filter(|turn| turn.group == LightGroup(1)).collect();
         assert!((8..=12).contains(&few.len()) && few.iter().all(|turn| turn.rows == (990..1000)), "{few:?}");
-    }
-
-    #[test]
-    fn each_group_finds_its_shadows_anew_once() {
+        // Each group finds its shadows anew once.
         let mut turns = Turns::of(&[500, 500], always(100), 4);
-        let refreshes: Vec<bool> = (0..6).map(|_| turns.next().refreshes).collect();
+        let refreshes = [(); 6].map(|()| turns.next().refreshes);
         assert_eq!(refreshes, [true, true, false, false, true, true]);
     }
 
     #[test]
     fn one_group_visits_the_pool_in_windows() {
         let mut turns = Turns::of(&[250], always(100), 50);
-        let rows: Vec<Range<usize>> = (0..4).map(|_| turns.next().rows).collect();
+        let rows = [(); 4].map(|()| turns.next().rows);
         assert_eq!(rows, [0..100, 100..200, 200..250, 0..100]);
         // The first three steps visit half as many.
         let grows = StepPixels { early: 50, late: 100, until: 0.3, steps: 10 };
         let mut turns = Turns::of(&[250], grows, 50).until(7);
-        let taken: Vec<Turn> = (0..7).map(|_| turns.next()).collect();
-        let rows: Vec<Range<usize>> = taken.iter().map(|turn| turn.rows.clone()).collect();
+        let taken = [(); 7].map(|()| turns.next());
+        let rows = taken.each_ref().map(|turn| turn.rows.clone());
         assert_eq!(rows, [0..50, 50..100, 100..150, 150..250, 0..100, 100..200, 200..250]);
         assert_eq!(taken.iter().position(|turn| turn.is_last), Some(4));
     }
@@ -261,8 +258,7 @@ mod tests {
             AdamStep::new(1.0, 1).advance(&mut moments, &[gradient; 7]);
             LobeMoments(moments)
         };
-        world
-            .spawn_batch(LightLobe::even(4).into_iter().map(|lobe| (lobe, moments(1.0))).collect::<Vec<_>>());
+        LightLobe::even(4).into_iter().for_each(|lobe| _ = world.spawn((lobe, moments(1.0))));
         let other = LightLobe::even(3);
         spawn_group_lights(&mut world, &[(other.clone(), None)]);
         let of_group: Vec<Entity> = world.query_filtered::<Entity, With<LobeOf>>().iter(&world).collect();
@@ -271,9 +267,8 @@ mod tests {
         exchange_light(&mut world, LightGroup(1));
         assert_eq!(own_lobes(&mut world)[..3], other);
         assert_eq!(lobes_of_group(&mut world, LightGroup(1)), before);
-        let own = |world: &mut World| {
-            let mut own = world.query_filtered::<&LobeMoments, Without<LobeOf>>();
-            own.iter(world).copied().collect::<Vec<_>>()
+        let own = |world: &mut World| -> Vec<LobeMoments> {
+            world.query_filtered::<&LobeMoments, Without<LobeOf>>().iter(world).copied().collect()
         };
         assert_eq!(own(&mut world), [moments(2.0); 4]);
         exchange_light(&mut world, LightGroup(1));

@@ -622,8 +622,8 @@ mod tests {
             let shown = |point: usize| truth.iter().enumerate().map(|(i, x)| response(point, i) * x).sum();
             let targets: Vec<f32> = points.map(shown).collect();
             Rows {
-                responses: std::array::from_fn(|_| responses.clone()),
-                targets: std::array::from_fn(|_| targets.clone()),
+                responses: [(); 3].map(|()| responses.clone()),
+                targets: [(); 3].map(|()| targets.clone()),
             }
         };
         vec![chunk(0..130), chunk(130..200)]
@@ -632,10 +632,9 @@ mod tests {
     #[test]
     fn amplitudes_are_found_again_and_none_is_negative() {
         for lobes in [11, 37] {
-            let response =
-                |pixel: usize, lobe: usize| 0.5 + 0.5 * (0.731 * (pixel * (lobe + 1)) as f32).sin();
-            let truth: Vec<f32> =
-                (0..lobes).map(|i| if i % 3 == 0 { 0.0 } else { 0.3 + 0.1 * i as f32 }).collect();
+            let response = |pixel, lobe| 0.5 + 0.5 * (0.731 * (pixel * (lobe + 1)) as f32).sin();
+            let amplitude = |i| if i % 3 == 0 { 0.0 } else { 0.3 + 0.1 * i as f32 };
+            let truth: Vec<f32> = (0..lobes).map(amplitude).collect();
             let (matrix, right) = normal_equations(&rows(&truth, response), 1, lobes);
             for (i, j) in [(0, 0), (3, 8), (10, 2), (lobes - 1, 1), (1, lobes - 1)] {
                 let sum: f64 = (0..200).map(|p| f64::from(response(p, i) * response(p, j))).sum();
@@ -659,19 +658,15 @@ mod tests {
     #[test]
     fn clipped_samples_do_not_darken_an_albedo() {
         // One texel of albedo 0.6 under lights from 0.5 to 2.5: the photograph ends at 1.
-        let lights: Vec<f32> = (0..9).map(|i| 0.5 + 0.25 * i as f32).collect();
-        let unit: Vec<Layers> =
-            lights.iter().map(|light| Layers { diffuse: [*light; 3], specular: [0.0; 3] }).collect();
-        let point = SurfacePoint {
-            texels: TexelAddress { weights: [1.0, 0.0, 0.0, 0.0], ..TexelAddress::default() },
-            ..SurfacePoint::default()
-        };
-        let seen = |light: &f32| {
+        let lights: [f32; 9] = std::array::from_fn(|i| 0.5 + 0.25 * i as f32);
+        let unit = lights.map(|light| Layers { diffuse: [light; 3], specular: [0.0; 3] });
+        let texels = TexelAddress { weights: [1.0, 0.0, 0.0, 0.0], ..TexelAddress::default() };
+        let point = SurfacePoint { texels, ..SurfacePoint::default() };
+        let observations = lights.map(|light| {
             let radiance = Vec3::splat((0.6 * light).min(1.0));
             let observed = Observed { radiance, saturated: 0.6 * light >= 1.0 };
             Observation { observed, point, ..Observation::default() }
-        };
-        let observations: Vec<Observation> = lights.iter().map(seen).collect();
+        });
         let mut albedo = vec![Vec3::splat(0.4)];
         let mut found = Vec::new();
         for _ in 0..30 {
@@ -697,10 +692,7 @@ mod tests {
         let after: f32 = lobes.iter().map(power).sum();
         assert!((after / before - 1.0).abs() < 0.02, "{before} {after}");
         assert!(lobes.iter().all(|l| (l.axis.length() - 1.0).abs() < 1e-5 && l.amplitude.is_finite()));
-    }
-
-    #[test]
-    fn an_even_or_dark_light_is_left_alone() {
+        // An even or dark light is left alone.
         for amplitude in [Vec3::ZERO, Vec3::ONE] {
             let lobe = |axis| LightLobe { axis, sharpness: 20.0, amplitude };
             let lobes: Vec<LightLobe> = fibonacci_axes(32).into_iter().map(lobe).collect();

@@ -222,12 +222,9 @@ mod tests {
         assert!(adjoint[0].0[0] == 0.0 && adjoint[0].0[1] > 0.0 && adjoint[0].0[2] < 0.0);
     }
 
-    fn layers(x: f32) -> Layers {
-        Layers { diffuse: [x, 0.2, 0.5], specular: [0.1, 0.0, 0.0] }
-    }
-
     #[test]
     fn adjoint_agrees_with_central_differences() {
+        let layers = |x: f32| Layers { diffuse: [x, 0.2, 0.5], specular: [0.1, 0.0, 0.0] };
         let observed = [seen([0.4, 0.1, 0.9]), seen([0.0, 0.3, 0.2])];
         for loss in [Loss::L1, Loss::L2] {
             let mean = |x: f32| {

@@ -474,21 +474,17 @@ fn even_share(counts: &[u32], most: usize) -> (u32, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
-    use glam::{Affine3A, Vec2};
+    use glam::{Vec2, Vec3};
     use lobelia_geometry::view::{Image, Mask, Split, StoredMask};
-    use lobelia_sg::ray::Ray;
-    use lobelia_sg::ray::{Hit, TexelAddress};
-    use lobelia_world::material::TexelIndex;
-    use lobelia_world::pipeline::Stage;
+    use lobelia_sg::ray::{Hit, Ray, TexelAddress};
+    use lobelia_world::{material::TexelIndex, pipeline::Stage};
+    use std::collections::BTreeSet;
 
     #[test]
     fn rare_texels_keep_all_and_the_others_an_even_share() {
         // Six of texel 0, three of texel 1, one of texel 3, and one that misses.
         let texels = [0, 0, 1, NO_TEXEL, 0, 1, 0, 3, 1, 0, 0];
-        let of = |kept: &[bool], texel: u32| {
-            texels.iter().zip(kept).filter(|(t, kept)| **t == texel && **kept).count()
-        };
+        let of = |kept: &[bool], texel| (0..11).filter(|&i| texels[i] == texel && kept[i]).count();
         for (most, expected) in
             [(10, [6, 3, 1]), (20, [6, 3, 1]), (7, [3, 3, 1]), (6, [3, 2, 1]), (2, [1, 1, 0]), (0, [0; 3])]
         {
@@ -497,13 +493,8 @@ mod tests {
             assert!(!kept[3]);
         }
         // The first ones of a texel.
-        assert_eq!(
-            kept_evenly(&texels, 3),
-            [0, 2, 7].iter().fold(vec![false; 11], |mut kept, at| {
-                kept[*at] = true;
-                kept
-            })
-        );
+        let first: [bool; 11] = std::array::from_fn(|at| [0, 2, 7].contains(&at));
+        assert_eq!(kept_evenly(&texels, 3), first);
         assert!(kept_evenly(&[], 5).is_empty());
     }
 
@@ -534,14 +525,10 @@ mod tests {
         fn intersect(&self, ray: &Ray, _: f32) -> Option<Hit> {
             let distance = (1.0 - ray.origin.z) / ray.direction.z;
             let normal = Vec3::NEG_Z;
-            (distance > 0.0).then(|| Hit {
-                distance,
-                position: ray.origin + distance * ray.direction,
-                normal,
-                geometric_normal: normal,
-                uv: glam::Vec2::ZERO,
-                texels: TexelAddress { weights: [0.25; 4], ..TexelAddress::default() },
-            })
+            let position = ray.origin + distance * ray.direction;
+            let texels = TexelAddress { weights: [0.25; 4], ..TexelAddress::default() };
+            let hit = Hit { distance, position, normal, geometric_normal: normal, uv: Vec2::ZERO, texels };
+            (distance > 0.0).then_some(hit)
         }
 
         fn occluded(&self, ray: &Ray, _: f32, _: f32) -> bool {
@@ -608,16 +595,7 @@ mod tests {
         let coverage = (0..count).map(|i| if inside(i) { 1.0 } else { 0.0 }).collect();
         let mask = StoredMask::new(&Mask { width: SIDE, height: SIDE, coverage });
         let photograph = Photograph::new(&image, &saturated, mask.window(), true).unwrap();
-        let camera = Camera {
-            width: SIDE,
-            height: SIDE,
-            focal: [1000.0; 2],
-            center: [600.0; 2],
-            skew: 0.0,
-            world_from_camera: Affine3A::IDENTITY,
-            pixel_center: 0.5,
-        };
-        View(camera, photograph, mask)
+        View(Camera::look_at(Vec3::ZERO, Vec3::Z, Vec3::Y, 60.0, SIDE, SIDE).unwrap(), photograph, mask)
     }
 
     #[test]
@@ -627,8 +605,7 @@ mod tests {
         let choice = PixelChoice { seed: 3, max_pixels: 50_000, evenly: false };
         let chosen = scattered(&views, choice).unwrap();
         assert!((49_000..=50_000).contains(&chosen.len()), "{}", chosen.len());
-        let distinct: std::collections::BTreeSet<(u32, u32)> =
-            chosen.iter().map(|c| (c.view.0, c.pixel)).collect();
+        let distinct: BTreeSet<(u32, u32)> = chosen.iter().map(|c| (c.view.0, c.pixel)).collect();
         assert_eq!(distinct.len(), chosen.len());
         let mut shares = [0; 20];
         for c in &chosen {
@@ -650,16 +627,10 @@ mod tests {
         // The mean of three channels is (x + y) / 3600, as half floats.
         let found = at(800, 500).unwrap();
         assert!((found * 3600.0 - Vec2::ONE).abs().max_element() < 0.3, "{found}");
-        assert_eq!(
-            [at(601, 500).is_some(), at(600, 500).is_some()],
-            [true, false],
-            "beside saturated pixels"
-        );
+        // Beside saturated pixels, and at the edge of the mask.
         let edge = (0..SIDE).rfind(|x| all.2.coverage((500 * SIDE + x) as usize) > 0.0).unwrap();
-        assert_eq!(
-            [at(edge - 1, 500).is_some(), at(edge, 500).is_some()],
-            [true, false],
-            "at the edge of the mask"
-        );
+        for (with, without) in [(601, 600), (edge - 1, edge)] {
+            assert_eq!([at(with, 500).is_some(), at(without, 500).is_some()], [true, false]);
+        }
     }
 }

@@ -497,9 +497,7 @@ mod tests {
     #[test]
     fn steps_lead_to_the_true_turn() {
         let (points, truth) = (points(), Quat::from_scaled_axis(Vec3::new(0.02, -0.015, 0.03)));
-        let at = |turn: Quat| -> Vec<ShadePoint> {
-            points.iter().map(|point| turned(point, Mat3::from_quat(turn))).collect()
-        };
+        let at = |turn| points.iter().map(|at| turned(at, Mat3::from_quat(turn))).collect::<Vec<_>>();
         let seen = shade(&at(truth));
         let mut found = Quat::IDENTITY;
         for _ in 0..6 {

@@ -221,9 +221,8 @@ mod tests {
     fn pixels(factors: [f32; 3], truth: impl Fn(usize) -> Vec3) -> Vec<MapPixel> {
         let pixel = |i: usize| {
             let texel = i % 4;
-            let at = |k: u32| (texel as u32 + k) % 4;
-            let texels =
-                TexelAddress { indices: [at(0), at(1), at(2), at(3)], weights: [1.0, 0.0, 0.0, 0.0] };
+            let indices = [0, 1, 2, 3].map(|k| (texel as u32 + k) % 4);
+            let texels = TexelAddress { indices, weights: [1.0, 0.0, 0.0, 0.0] };
             MapPixel { view: ViewIndex((i % 3) as u32), texels, value: truth(texel) * factors[i % 3] }
         };
         (0..240).map(pixel).collect()

@@ -383,20 +383,14 @@ mod tests {
 
     #[test]
     fn adjoint_of_logits_is_that_of_the_softmax() {
-        let logits = [0.3, -0.7, 0.1];
-        let adjoint = [0.5, -1.0, 2.0];
-        let loss = |logits: [f64; 3]| {
+        let (logits, adjoint) = ([0.3, -0.7, 0.1], [0.5, -1.0, 2.0]);
+        let softmax = |logits: [f64; 3]| {
             let sum: f64 = logits.iter().map(|l| l.exp()).sum();
-            (0..3).map(|k| logits[k].exp() / sum * adjoint[k]).sum::<f64>()
+            logits.map(|l| l.exp() / sum)
         };
-        let sum: f64 = logits.iter().map(|l: &f64| l.exp()).sum();
-        let mut weights = PerMaterial::default();
-        let mut wide = PerMaterial::default();
-        for k in 0..3 {
-            weights[k] = (logits[k].exp() / sum) as f32;
-            wide[k] = adjoint[k] as f32;
-        }
-        let found = logit_adjoint(&weights, &wide);
+        let loss = |logits| softmax(logits).iter().zip(adjoint).map(|(w, a)| w * a).sum::<f64>();
+        let wide = |of: [f64; 3]| std::array::from_fn(|k| of.get(k).map_or(0.0, |x| *x as f32));
+        let found = logit_adjoint(&wide(softmax(logits)), &wide(adjoint));
         for k in 0..3 {
             let (mut up, mut down) = (logits, logits);
             up[k] += 1e-5;
@@ -408,8 +402,8 @@ mod tests {
 
     #[test]
     fn averaging_keeps_an_even_gradient_and_spreads_an_uneven_one() {
-        let positions: Vec<Vec3> =
-            (0..1000).map(|i| Vec3::new((i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32)).collect();
+        let positions: [Vec3; 1000] =
+            std::array::from_fn(|i| Vec3::from([1, 10, 100].map(|step| (i / step % 10) as f32)));
         let even = BlendGradient([0.5; MAX_SPECULAR_LOBES]);
         let mut gradients = vec![even; positions.len()];
         average_over_cells(&positions, &mut gradients, 4.0);
@@ -453,8 +447,7 @@ mod tests {
         for (roughness, share) in [(0.12, 0.3), (0.2, 0.9), (0.4, 0.5), (0.7, 0.8)] {
             let roughness = TexelRoughness { roughness, share };
             for (k, found) in roughness.adjoint_of(&adjoint).into_iter().enumerate() {
-                let at =
-                    |step: f32| loss(roughness.moved(if k == 0 { [-step, 0.0] } else { [0.0, -step] }, true));
+                let at = |step: f32| loss(roughness.moved([[-step, 0.0], [0.0, -step]][k], true));
                 let exact = (at(5e-3) - at(-5e-3)) / 1e-2;
                 assert!((f64::from(found) - exact).abs() < 2e-3, "{k}: {found} {exact}");
             }
@@ -463,26 +456,20 @@ mod tests {
 
     #[test]
     fn the_gradient_of_variation_agrees_with_differences() {
-        let prior = RoughnessPrior {
-            smoothness: 2.0,
-            color_width: 0.1,
-            varied_specular: true,
-            neighbors: vec![[0, 1], [1, 2]],
-        };
+        let (smoothness, color_width, neighbors) = (2.0, 0.1, vec![[0, 1], [1, 2]]);
+        let prior = RoughnessPrior { smoothness, color_width, varied_specular: true, neighbors };
         let roughness = [(0.2, 0.5), (0.21, 0.52), (0.4, 0.9)]
             .map(|(roughness, share)| TexelRoughness { roughness, share });
-        let albedo = [Vec3::new(0.5, 0.4, 0.3), Vec3::new(0.5, 0.45, 0.3), Vec3::new(0.3, 0.4, 0.6)]
-            .map(DiffuseAlbedo);
+        let albedo =
+            [[0.5, 0.4, 0.3], [0.5, 0.45, 0.3], [0.3, 0.4, 0.6]].map(|rgb| DiffuseAlbedo(rgb.into()));
         let value = |roughness: &[TexelRoughness]| -> f64 {
             let pair = |[a, b]: &[u32; 2]| {
                 let (a, b) = (*a as usize, *b as usize);
                 let apart = chromaticity(albedo[a].0).distance(chromaticity(albedo[b].0)) / 0.1;
-                let cost = |d: f64| (d * d + f64::from(KINK * KINK)).sqrt();
-                let (r, s) = (
-                    f64::from(roughness[a].roughness / roughness[b].roughness),
-                    f64::from(roughness[a].share / roughness[b].share),
-                );
-                f64::from(prior.smoothness / 2.0 / (1.0 + apart * apart)) * (cost(r.ln()) + cost(s.ln()))
+                let cost = |ratio: f32| (f64::from(ratio).ln().powi(2) + f64::from(KINK * KINK)).sqrt();
+                let (a, b) = (roughness[a], roughness[b]);
+                let cost = cost(a.roughness / b.roughness) + cost(a.share / b.share);
+                f64::from(prior.smoothness / 2.0 / (1.0 + apart * apart)) * cost
             };
             prior.neighbors.iter().map(pair).sum()
         };
@@ -492,8 +479,7 @@ mod tests {
             for k in 0..2 {
                 let at = |step: f32| {
                     let mut moved = roughness;
-                    moved[texel] =
-                        roughness[texel].moved(if k == 0 { [-step, 0.0] } else { [0.0, -step] }, true);
+                    moved[texel] = roughness[texel].moved([[-step, 0.0], [0.0, -step]][k], true);
                     value(&moved)
                 };
                 let exact = (at(1e-3) - at(-1e-3)) / 2e-3;

@@ -592,13 +592,8 @@ mod tests {
 
     #[test]
     fn rates_fall_at_the_milestones() {
-        let options = FitOptions {
-            steps: 10,
-            milestones: vec![0.3, 0.8],
-            decay: 0.5,
-            rates: [1.0, 2.0, 4.0],
-            ..Default::default()
-        };
+        let (milestones, rates) = (vec![0.3, 0.8], [1.0, 2.0, 4.0]);
+        let options = FitOptions { steps: 10, milestones, decay: 0.5, rates, ..Default::default() };
         let lights: Vec<f32> = (1..=10).map(|step| options.rates_at(step, step).light).collect();
         assert_eq!(lights, [2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.5]);
     }

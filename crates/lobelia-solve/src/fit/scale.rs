@@ -330,12 +330,10 @@ mod tests {
 
     #[test]
     fn the_derivative_of_the_scale_agrees_with_differences() {
-        let layers: Vec<Layers> = (0..50)
-            .map(|i| {
-                let at = |c: usize| 0.1 + 0.3 * ((i * 7 + c * 5) % 11) as f32 / 11.0;
-                Layers { diffuse: [at(0), at(1), at(2)], specular: [at(3), at(4), at(5)] }
-            })
-            .collect();
+        let layers: [Layers; 50] = std::array::from_fn(|i| {
+            let at = |c: usize| 0.1 + 0.3 * ((i * 7 + c * 5) % 11) as f32 / 11.0;
+            Layers { diffuse: [0, 1, 2].map(at), specular: [3, 4, 5].map(at) }
+        });
         let observed = vec![Observed { radiance: Vec3::new(0.5, 0.4, 0.2), saturated: false }; 50];
         let loss = |factor: Vec3, adjoint: &mut [RadianceAdjoint]| {
             let scaled = |l: &Layers| Layers { specular: (Vec3::from(l.specular) * factor).into(), ..*l };
@@ -344,13 +342,11 @@ mod tests {
         };
         let mut adjoint = vec![RadianceAdjoint::default(); 50];
         loss(Vec3::ONE, &mut adjoint);
-        let of_samples =
-            layers.iter().zip(&adjoint).map(|(layers, adjoint)| specular_derivative(layers, adjoint));
+        let of_samples = layers.iter().zip(&adjoint).map(|(of, adjoint)| specular_derivative(of, adjoint));
         let gradient = of_samples.sum::<DVec3>().as_vec3();
-        let mut unused = adjoint.clone();
-        for axis in [Vec3::X, Vec3::Y, Vec3::Z] {
-            let at = |step: f32, unused: &mut [RadianceAdjoint]| loss((axis * step).exp(), unused);
-            let exact = (at(1e-2, &mut unused) - at(-1e-2, &mut unused)) / 2e-2;
+        for axis in Vec3::AXES {
+            let mut at = |step: f32| loss((axis * step).exp(), &mut adjoint);
+            let exact = (at(1e-2) - at(-1e-2)) / 2e-2;
             let found = f64::from(gradient.dot(axis));
             assert!((found - exact).abs() < 1e-3 * exact.abs() + 1e-6, "{found} {exact}");
         }
@@ -365,10 +361,8 @@ mod tests {
         let mut adjoint = vec![RadianceAdjoint::default(); 2];
         image_loss(Loss::L1, &layers, &observed, |_| Vec3::ONE, &mut adjoint);
         // Only the first point cannot follow with its albedo: −1/6 per unit of radiance, of which there is 0.7.
-        let of_samples = points.iter().zip(&layers).zip(&adjoint);
-        let of_samples =
-            of_samples.map(|((point, layers), adjoint)| bound_derivative(point, layers, adjoint));
-        let bound = of_samples.sum::<DVec3>().as_vec3();
+        let of_sample = |i: usize| bound_derivative(&points[i], &layers[i], &adjoint[i]);
+        let bound = (of_sample(0) + of_sample(1)).as_vec3();
         assert!((bound - Vec3::new(0.0, 0.0, -0.7 / 6.0)).length() < 1e-6, "{bound}");
         assert!(level_derivative(bound, Vec3::splat(USUAL_ALBEDO)) < 0.0);
         // A few of them do not make the rest black, and without them the level stays.
@@ -386,14 +380,8 @@ mod tests {
         let points = [ShadePoint { albedo: [0.3; 3], ..ShadePoint::default() }; 2];
         let adjoint = [RadianceAdjoint([0.1, 0.0, -0.1]); 2];
         let gradient = |metal: f32, off_gray: Vec3| {
-            let blends = [blend(metal), blend(0.0)];
-            let evidence = ScaleEvidence {
-                points: &points,
-                blends: &blends,
-                layers: &layers,
-                adjoint: &adjoint,
-                metals,
-            };
+            let (points, blends) = (&points, &[blend(metal), blend(0.0)]);
+            let evidence = ScaleEvidence { points, blends, layers: &layers, adjoint: &adjoint, metals };
             evidence.gradient(0.002, off_gray, Vec3::splat(USUAL_ALBEDO))
         };
         let (paint, half) = (gradient(0.0, Vec3::ZERO), gradient(1.0, Vec3::ZERO));
@@ -408,10 +396,8 @@ mod tests {
     #[test]
     fn lamps_and_skies_are_left_alone_and_green_light_is_not() {
         // Linear Rec. 709 of black bodies of 3 200, 6 500 and 15 000 K, by the CIE 1931 color matching functions.
-        for color in
-            [Vec3::new(1.747, 0.913, 0.341), Vec3::new(1.022, 0.965, 1.014), Vec3::new(0.678, 0.854, 1.468)]
-        {
-            assert_eq!(lamp_derivative(log_color(color)), Vec3::ZERO, "{color}");
+        for color in [[1.747, 0.913, 0.341], [1.022, 0.965, 1.014], [0.678, 0.854, 1.468]] {
+            assert_eq!(lamp_derivative(log_color(color.into())), Vec3::ZERO, "{color:?}");
         }
         let green = lamp_derivative(log_color(Vec3::new(1.37, 3.23, 0.53)));
         assert!(green.y > 10.0 && green.x < 0.0, "{green}");
@@ -434,7 +420,7 @@ mod tests {
         };
         for log in [Vec3::new(0.1, 0.2, -0.3), Vec3::new(-0.4, 0.6, -0.2), Vec3::new(2.0, -0.5, -1.5)] {
             let found = lamp_derivative(log);
-            for axis in [Vec3::X, Vec3::Y, Vec3::Z] {
+            for axis in Vec3::AXES {
                 let exact = (distance(log + 1e-2 * axis) - distance(log - 1e-2 * axis)) / 2e-2;
                 assert!((found.dot(axis) - exact).abs() < 1e-2 * exact.abs().max(1.0), "{log} {exact}");
             }
@@ -444,8 +430,7 @@ mod tests {
     #[test]
     fn rescaling_keeps_light_times_albedo() {
         let lobe = LightLobe { axis: Vec3::Y, sharpness: 3.0, amplitude: Vec3::new(1.0, 2.0, 4.0) };
-        let mut lobes = [lobe];
-        let mut albedo = [DiffuseAlbedo(Vec3::new(0.1, 0.2, 0.4))];
+        let (mut lobes, mut albedo) = ([lobe], [DiffuseAlbedo(Vec3::new(0.1, 0.2, 0.4))]);
         let to_white = (-log_color(mean_light(lobes.iter()))).exp();
         rescale(to_white, lobes.iter_mut(), &mut albedo);
         assert!(log_color(mean_light(lobes.iter())).length() < 1e-6);

@@ -326,10 +326,7 @@ mod tests {
     fn a_sheen_is_seen_in_views_kept_aside() {
         assert!(evidence(0.1, 0.3, 0.02).explained_part() > 0.7);
         assert!(evidence(0.1, 0.3, 0.2).explained_part() > CONVINCING);
-    }
-
-    #[test]
-    fn neither_a_wrong_albedo_nor_noise_is_taken_for_a_sheen() {
+        // Neither a wrong albedo nor noise is taken for one.
         assert!(evidence(0.3, 0.0, 0.02).explained_part() < CONVINCING);
         assert!(evidence(0.0, 0.0, 0.2).explained_part() < CONVINCING);
         assert_eq!(evidence(0.0, 0.0, 0.0).explained_part(), 0.0);
@@ -359,18 +356,17 @@ mod tests {
             let (low, high): (Vec<Vec3>, Vec<Vec3>) = (ring(0.3, 0.0).collect(), ring(2.0, turn).collect());
             let one_by_one: Vec<Vec3> = low.iter().zip(&high).flat_map(|(a, b)| [*a, *b]).collect();
             let after: Vec<Vec3> = [low.clone(), high].concat();
-            let of = |positions: &[Vec3], at: Vec3| {
-                halves_of(positions)[positions.iter().position(|found| *found == at).unwrap()]
-            };
-            for at in &after {
-                assert_eq!(of(&one_by_one, *at), of(&after, *at), "{at}");
+            let halves = halves_of(&after);
+            for (i, half) in halves_of(&one_by_one).into_iter().enumerate() {
+                assert_eq!(half, halves[i / 2 + 12 * (i % 2)], "{}", one_by_one[i]);
             }
-            for ring in after.chunks(12) {
-                let second = ring.iter().filter(|at| of(&after, **at) == 1).count();
-                assert!((3..=9).contains(&second), "{second} of 12 are in the second half");
-            }
-            let all: usize = halves_of(&after).iter().map(|half| usize::from(*half)).sum();
-            assert_eq!(all, 12);
+            let seconds =
+                [&halves[..12], &halves[12..]].map(|ring| ring.iter().filter(|half| **half == 1).count());
+            assert!(
+                seconds.iter().all(|second| (3..=9).contains(second)),
+                "{seconds:?} of 12 are in the second half"
+            );
+            assert_eq!(seconds[0] + seconds[1], 12);
         }
         assert_eq!(halves_of(&[Vec3::X; 3]).len(), 3);
         assert!(halves_of(&[]).is_empty());

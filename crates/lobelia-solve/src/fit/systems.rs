@@ -366,8 +366,10 @@ mod tests {
     impl Blended {
         fn new() -> Self {
             let work = lobelia_sg::workload::Workload::new(COUNT, 20, 0.3);
+            let blend = |part: f32| PointBlend(std::array::from_fn(|k| [1.0 - part, part, 0.0][k.min(2)]));
             Self {
-                blends: (0..COUNT).map(|i| ramp(0.05 + 0.9 * i as f32 / (COUNT - 1) as f32)).collect(),
+                // From the first material to the second.
+                blends: (0..COUNT).map(|i| 0.05 + 0.9 * i as f32 / (COUNT - 1) as f32).map(blend).collect(),
                 seen: vec![PointVisibility { specular: [0.5, 0.8, 1.2], indirect: [0.1, 0.2, 0.3] }; COUNT],
                 materials: [0.25, 0.5].map(|roughness| SpecularValue { roughness, ..work.specular }),
                 points: work.points,
@@ -396,22 +398,15 @@ mod tests {
 
         /// The loss of which [`ADJOINT`] is the derivative.
         fn loss(&self) -> f64 {
-            let of_point = |l: &Layers| -> f32 {
-                (0..3).map(|c| ADJOINT[c] * (l.diffuse[c] + l.specular[c])).sum::<f32>()
-            };
-            self.radiance().iter().map(|layers| f64::from(of_point(layers))).sum()
+            let of_channel = |l: &Layers, c: usize| f64::from(ADJOINT[c] * (l.diffuse[c] + l.specular[c]));
+            self.radiance().iter().flat_map(|l| [0, 1, 2].map(|c| of_channel(l, c))).sum()
         }
 
         /// The gradient of the loss: with respect to what points share, and to the blends of each.
         fn pull_back(&self) -> (StepGradient, Vec<PerMaterial>) {
-            let (shaded, adjoint) = (self.radiance(), vec![RadianceAdjoint(ADJOINT); self.points.len()]);
-            let samples = BlendedSamples {
-                points: &self.points,
-                blends: &self.blends,
-                seen: &self.seen,
-                shaded: &shaded,
-                adjoint: &adjoint,
-            };
+            let Self { points, blends, seen, .. } = self;
+            let (shaded, adjoint) = (&self.radiance(), &vec![RadianceAdjoint(ADJOINT); points.len()]);
+            let samples = BlendedSamples { points, blends, seen, shaded, adjoint };
             let numbered = [(0, self.materials[0]), (1, self.materials[1])];
             let mut back = vec![PointAdjoint::default(); self.points.len()];
             let (mut gradient, mut to_blends) = (StepGradient::default(), Vec::new());
@@ -446,12 +441,5 @@ mod tests {
         };
         let moved = Blended { lobes: LobeColumns::from_lobes((0..20).map(brighter)), ..scene.clone() };
         close("amplitude", gradient.shared.lobes.get(3).amplitude[2], &moved, 1.0);
-    }
-
-    /// All of the second material at 1, of the first at 0.
-    fn ramp(part: f32) -> PointBlend {
-        let mut blend = PointBlend::default();
-        (blend.0[0], blend.0[1]) = (1.0 - part, part);
-        blend
     }
 }
