@@ -11,7 +11,7 @@ use lobelia::fit::scale::ScaleMoments;
 use lobelia::fit::sheen::{SheenGradient, SheenMoments};
 use lobelia::prelude::*;
 use lobelia::sg::shading::{Layers, PointAdjoint};
-use lobelia::shape::vertices::{VertexIndex, VertexPlugin, VertexPosition};
+use lobelia::shape::vertices::{MovingMesh, VertexPlugin};
 use std::ops::{ControlFlow, Range};
 
 /// Value that is made NaN in some steps of a fit.
@@ -185,7 +185,7 @@ fn steps_of_vertices_and_cameras_that_are_not_finite_are_taken_back() {
     assert!(first.contains("step 60: the gradient is not finite, by the camera of view number 0"), "{first}");
     let fit_of_cameras = pipeline.world.resource::<CameraFit>();
     assert!(fit_of_cameras.noise.iter().all(|noise| noise.is_finite()));
-    let (first, mut pipeline) = fit(Place::Vertices, &|pipeline| {
+    let (first, pipeline) = fit(Place::Vertices, &|pipeline| {
         let surface = Surface::new(sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), 32).unwrap();
         _ = pipeline.add_plugin(&VertexPlugin {
             surface: Arc::new(surface),
@@ -194,9 +194,9 @@ fn steps_of_vertices_and_cameras_that_are_not_finite_are_taken_back() {
         });
     });
     assert!(first.contains("step 60: the gradient is not finite, by vertex "), "{first}");
-    let positions = read_column::<VertexIndex, VertexPosition>(&mut pipeline.world).unwrap();
-    assert!(positions.iter().all(|position| position.0.is_finite()));
-    assert!(positions.iter().any(|position| (position.0.length() - RADIUS).abs() > 1e-6), "they move");
+    let positions = &pipeline.world.resource::<MovingMesh>().surface.mesh().positions;
+    assert!(positions.iter().all(|position| position.is_finite()));
+    assert!(positions.iter().any(|position| (position.length() - RADIUS).abs() > 1e-6), "they move");
 }
 
 #[test]

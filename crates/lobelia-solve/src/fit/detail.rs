@@ -14,7 +14,7 @@
 //! | those of [`GatherPoints`], [`whiten_points`] | Detail: Gather | what shading needs, for a white surface |
 //! | `provide_light`, `refresh_visibility`, `gather_visibility` | Detail: `Slot::Light`, `Slot::Visibility` | light and shadows as in a fit |
 //! | `shade_closed_form` | Detail: `Slot::Shading` | diffuse radiance of a white surface, specular radiance |
-//! | [`keep_pixels`] | Detail: Gradient | [`KeptPixels`] |
+//! | [`keep_pixels`] | Detail: Gradient | [`DetailPixels`] |
 //!
 //! The equations of a texel: with light, shape and specular lobes held, the radiance of a pixel is L = (ρ + g s + ρ̄ t · v⊥) u + L_s in the albedo
 //! ρ, the sheen s ([`lobelia_world::material::sheen`]) and the tilt t ([`lobelia_world::material::tilt`]) of its texels, where g = 1 − c and u is
@@ -26,38 +26,32 @@
 //! All channels share the weight, that of their mean radiance, and the direction of the tilt, so that weighted least squares over the
 //! pixels of a texel needs 31 sums.
 
-use crate::fit::components::TexelSeen;
-use crate::fit::exposure::Exposures;
 use crate::fit::groups::{exchange_light, groups_of_views};
-use crate::fit::metal::Metals;
 use crate::fit::observe::{observed_in, spawn_samples, usable_by_view, usable_pixels};
+use crate::fit::{components::TexelSeen, exposure::Exposures, metal::Metals};
 use crate::shade::frame::{add_gathering, add_material_resources, trace_samples};
-use crate::shade::shade_closed_form;
-use crate::visibility::WindowVisibility;
-use crate::visibility::systems::{gather_visibility, light_or_material_changed, refresh_visibility};
+use crate::visibility::systems::see_material;
+use crate::{shade::shade_closed_form, visibility::WindowVisibility};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World};
 use bytemuck::{Pod, Zeroable};
 use glam::{Mat2, Mat3, Vec2, Vec3};
 use half::f16;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::error::{Error, Result};
 use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex};
+use lobelia_geometry::{Error, Result, error::stop::is_stopping};
 use lobelia_sg::ray::TexelAddress;
 use lobelia_sg::shading::{ClosedForm, Layers, ShadePoint};
 use lobelia_world::light::lights::{LightChoice, provide_light};
 use lobelia_world::light::placement::LightGroup;
-use lobelia_world::material::material_source::RecoveredMaterial;
 use lobelia_world::material::sheen::{KnownAlong, grazing, has_sheen, mean_albedo, write_albedo};
 use lobelia_world::material::tilt::{DirectionalAlbedo, MOST_TILT, along_surface};
 use lobelia_world::material::{
-    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, TexelIndex, recovered_materials,
+    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, TexelIndex, material_source::RecoveredMaterial,
+    recovered_materials,
 };
 use lobelia_world::pipeline::pool::{read_column, write_column};
 use lobelia_world::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::despawn_pool;
 use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay, Window};
-use lobelia_world::sample::point::SurfacePoint;
+use lobelia_world::sample::{Samples, despawn_pool, point::SurfacePoint};
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 use tracing::info_span;
@@ -93,8 +87,7 @@ pub struct DetailPlugin(pub DetailOptions);
 
 impl Plugin for DetailPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
-        pipeline.world.init_resource::<PresentPixels>();
-        pipeline.world.init_resource::<KeptPixels>();
+        pipeline.world.init_resource::<DetailPixels>();
         pipeline.world.init_resource::<Exposures>();
         add_material_resources::<RecoveredMaterial>(&mut pipeline.world);
         add_gathering::<RecoveredMaterial>(pipeline, Phase::Detail);
@@ -107,26 +100,22 @@ impl Plugin for DetailPlugin {
             .add_systems(Phase::Detail, Stage::Gradient, keep_pixels);
         pipeline.world.insert_resource(WindowVisibility::default());
         if self.0.visibility {
-            let refresh = refresh_visibility::<RecoveredMaterial>
-                .run_if(light_or_material_changed::<RecoveredMaterial>);
-            pipeline.swap(Phase::Detail, Slot::Visibility, (refresh, gather_visibility).chain());
+            pipeline.swap(Phase::Detail, Slot::Visibility, see_material::<RecoveredMaterial>());
         }
     }
 
     fn cleanup(world: &mut World) {
-        world.remove_resource::<PresentPixels>();
-        world.remove_resource::<KeptPixels>();
+        world.remove_resource::<DetailPixels>();
         world.insert_resource(WindowVisibility::default());
     }
 }
 
-/// The pixels of one run of the phase.
+/// The pixels of one run of the phase, and those that have been shaded.
 #[derive(Resource, Default)]
-pub struct PresentPixels(Vec<PixelOf>);
-
-/// Pixels that have been shaded.
-#[derive(Resource, Default)]
-pub struct KeptPixels(Vec<KeptPixel>);
+pub struct DetailPixels {
+    present: Vec<PixelOf>,
+    kept: Vec<KeptPixel>,
+}
 
 /// Solves for albedo, sheen and tilt of all texels: shades the pixels of the training photographs, then sweeps over them a few times.
 /// `watch` is called with the part of the work that is done. Raises [`TexelSeen`] where the sweeps see more than the fit did. A run that is
@@ -142,7 +131,7 @@ pub fn solve_detail(
     pipeline.add_plugin(&DetailPlugin(options));
     spawn_samples(&mut pipeline.world, BATCH);
     let shaded = shade_pixels(pipeline, &mut |part| watch(SHADING_PART * part));
-    let pixels = std::mem::take(&mut pipeline.world.resource_mut::<KeptPixels>().0);
+    let pixels = std::mem::take(&mut pipeline.world.resource_mut::<DetailPixels>().kept);
     despawn_pool(&mut pipeline.world);
     pipeline.remove_plugin::<DetailPlugin>();
     shaded?;
@@ -178,7 +167,7 @@ fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<(
     let every = total.div_ceil(MOST_PIXELS).max(1);
     // As many as there may be, so that growing never copies them.
     let most = views.iter().map(|(_, pixels)| pixels.div_ceil(every)).sum();
-    pipeline.world.insert_resource(KeptPixels(Vec::with_capacity(most)));
+    pipeline.world.resource_mut::<DetailPixels>().kept.reserve_exact(most);
     let mut done = 0;
     for of_group in views.chunk_by(|a, b| group_of(a) == group_of(b)) {
         let group = of_group.first().map_or(LightGroup::OWN, group_of);
@@ -189,7 +178,7 @@ fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<(
                 let pixels = usable_pixels(&mut pipeline.world, *view, every);
                 for part in pixels.chunks(BATCH).take_while(|_| !is_stopping()) {
                     pipeline.world.resource_mut::<Window>().0 = 0..part.len();
-                    pipeline.world.resource_mut::<PresentPixels>().0 = part.to_vec();
+                    pipeline.world.resource_mut::<DetailPixels>().present = part.to_vec();
                     pipeline.run(Phase::Detail)?;
                 }
             }
@@ -209,11 +198,7 @@ fn sweep(world: &mut World, pixels: &[KeptPixel], options: DetailOptions) -> Res
     let mut albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let mut sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
     let mut tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
-    let of = |texel: usize| DirectionalAlbedo {
-        albedo: albedo[texel].0,
-        sheen: sheen[texel].0,
-        tilt: tilt[texel].0,
-    };
+    let of = |i: usize| DirectionalAlbedo { albedo: albedo[i].0, sheen: sheen[i].0, tilt: tilt[i].0 };
     let is_known = world.contains_resource::<KnownAlong>();
     let mut equations = vec![TexelEquations::default(); albedo.len()];
     for part in pixels.chunks(BATCH) {
@@ -223,11 +208,8 @@ fn sweep(world: &mut World, pixels: &[KeptPixel], options: DetailOptions) -> Res
         add_pixels(part, of, is_known, &mut equations);
     }
     let (with_sheen, with_tilt) = (has_sheen(&sheen) && !is_known, options.tilt && !is_known);
-    let metals = if options.metal {
-        Metals::of(recovered_materials(world).iter().map(|(number, lobe)| (*number, lobe)))
-    } else {
-        Metals::default()
-    };
+    let materials = if options.metal { recovered_materials(world) } else { Vec::new() };
+    let metals = Metals::of(materials.iter().map(|(number, lobe)| (*number, lobe)));
     let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
     let texels = albedo.par_iter_mut().zip(&mut sheen).zip(&mut tilt);
     texels.zip(&equations).zip(&blends).with_min_len(4096).for_each(
@@ -258,7 +240,7 @@ fn sweep(world: &mut World, pixels: &[KeptPixel], options: DetailOptions) -> Res
 
 /// Sample: the pixels of this run become the samples.
 pub fn show_pixels(
-    present: Res<PresentPixels>,
+    shown: Res<DetailPixels>,
     views: Query<(&ViewIndex, &Camera, &Photograph)>,
     samples: Samples<(&mut PixelOf, &mut Observed, &mut ViewRay)>,
 ) -> SystemResult {
@@ -266,7 +248,7 @@ pub fn show_pixels(
         views.iter().map(|(index, camera, photograph)| (*index, (camera, photograph))).collect();
     let (mut pixels, mut observed, mut rays) = samples.columns()?;
     let columns = pixels.iter_mut().zip(&mut *observed).zip(&mut *rays);
-    for (((pixel, seen), ray), from) in columns.zip(&present.0) {
+    for (((pixel, seen), ray), from) in columns.zip(&shown.present) {
         let (camera, photograph) = views.of(from.view)?;
         (*pixel, *seen) = (*from, observed_in(photograph, from.pixel));
         ray.0 = camera.pixel_ray(from.pixel);
@@ -284,7 +266,7 @@ pub fn whiten_points(samples: Samples<&mut ShadePoint>) -> SystemResult {
 pub fn keep_pixels(
     exposures: Res<Exposures>,
     samples: Samples<(&SurfacePoint, &ViewRay, &Layers, &Observed, &PixelOf)>,
-    mut kept: ResMut<KeptPixels>,
+    mut detail: ResMut<DetailPixels>,
 ) -> SystemResult {
     let (points, rays, shaded, observed, pixels) = samples.columns()?;
     let shown = |i: usize| {
@@ -302,7 +284,7 @@ pub fn keep_pixels(
             })
         })
     };
-    kept.0.par_extend((0..points.len()).into_par_iter().filter_map(shown));
+    detail.kept.par_extend((0..points.len()).into_par_iter().filter_map(shown));
     Ok(())
 }
 
@@ -395,8 +377,7 @@ fn add_pixels(
     for pixel in pixels.iter().map(|kept| ShadedPixel::from(*kept)) {
         let albedo = DirectionalAlbedo::mixed(&pixel.texels, &of);
         let predicted = albedo.seen_at(pixel.facing, pixel.side) * pixel.unit + pixel.specular;
-        let difference = |c: usize| -pixel.observed.difference(c, predicted[c]);
-        let residual = Vec3::from_array(std::array::from_fn(difference));
+        let residual = -pixel.observed.differences(predicted);
         if !(pixel.unit.is_finite() && residual.is_finite()) {
             continue;
         }

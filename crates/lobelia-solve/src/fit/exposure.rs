@@ -8,12 +8,9 @@ use crate::fit::components::StepRates;
 use bevy_ecs::prelude::{Res, ResMut, Resource};
 use glam::{DVec3, Vec3};
 use lobelia_geometry::view::ViewIndex;
-use lobelia_sg::shading::Layers;
-use lobelia_sg::statistics::quantile;
-use lobelia_world::light::placement::LightGroup;
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::Samples;
+use lobelia_sg::{shading::Layers, statistics::quantile};
 use lobelia_world::sample::pixel::{Observed, PixelOf, SATURATION};
+use lobelia_world::{light::placement::LightGroup, pipeline::SystemResult, sample::Samples};
 use serde::{Deserialize, Serialize};
 
 /// Decay factor of the sums, per window.
@@ -158,12 +155,8 @@ impl Exposures {
         let most = self.lights.iter().max().copied().unwrap_or_default();
         for light in (0..=most.0).map(LightGroup) {
             let is_under = |view: usize| self.lights.get(view).copied().unwrap_or_default() == light;
-            let mut of_light: Vec<&mut (f64, DVec3)> = logs
-                .iter_mut()
-                .enumerate()
-                .filter(|(view, _)| is_under(*view))
-                .filter_map(|(_, log)| log.as_mut())
-                .collect();
+            let under = logs.iter_mut().enumerate().filter(|(view, _)| is_under(*view));
+            let mut of_light: Vec<&mut (f64, DVec3)> = under.filter_map(|(_, log)| log.as_mut()).collect();
             let count = of_light.len().max(1) as f64;
             let brightness = of_light.iter().map(|log| log.0).sum::<f64>() / count;
             let color = of_light.iter().map(|log| log.1).sum::<DVec3>() / count;

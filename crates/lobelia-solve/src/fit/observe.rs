@@ -1,34 +1,27 @@
 //! The Prepare phase: every usable foreground pixel of the training views becomes one row of the pool of observed pixels, traced once.
 //! Each step then takes some of them into the samples.
 
-use crate::fit::components::TexelSeen;
-use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With, World};
-use bevy_ecs::system::SystemState;
+use crate::fit::{components::TexelSeen, groups::groups_of_views};
+use bevy_ecs::prelude::{Query, Res, Resource, With, World};
+use bevy_ecs::system::RunSystemOnce;
 use glam::Vec2;
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::glare_limit;
-use lobelia_geometry::view::raster::FULL_COVERAGE;
 use lobelia_geometry::view::{
-    ByView, Camera, Photograph, PixelWindow, Placement, Split, StoredMask, ViewIndex, ViewMask,
+    ByView, Camera, Photograph, PixelWindow, Split, StoredMask, ViewIndex, ViewMask, glare_limit,
 };
-use lobelia_sg::ray::Intersect;
-use lobelia_world::light::placement::{LightGroup, Placements};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted, view::raster::FULL_COVERAGE};
+use lobelia_sg::ray::{Intersect, TexelAddress};
+use lobelia_world::light::placement::Placements;
 use lobelia_world::material::{TexelIndex, Texels};
-use lobelia_world::pipeline::pool::Pool;
-use lobelia_world::pipeline::{Phase, Pipeline, SystemResult};
+use lobelia_world::pipeline::{Phase, Pipeline, SystemResult, pool::Pool};
 use lobelia_world::sample::pixel::{ImageGradient, Observed, PixelOf, SATURATION, SampleIndex, ViewRay};
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
 use lobelia_world::sample::{
     FitSample, FrameSample, Observation, ObservationIndex, Observations, ObservedGradient, ObservedWindow,
     Samples, despawn_observations, despawn_pool,
 };
-use rand::rngs::SmallRng;
-use rand::seq::SliceRandom;
-use rand::{RngExt, SeedableRng};
+use rand::{RngExt, SeedableRng, rngs::SmallRng, seq::SliceRandom};
 use rayon::prelude::*;
-use std::ops::Range;
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 /// Inputs from which the pool of observed pixels was made.
 #[derive(Resource)]
@@ -66,10 +59,8 @@ pub(super) fn usable_pixels(world: &mut World, of: ViewIndex, every: usize) -> V
 pub(super) fn make_pool(pipeline: &mut Pipeline) -> Result<usize> {
     if pool_holds(&mut pipeline.world) {
         // A part of a fit begins with texels that nobody has seen.
-        let mut state = SystemState::<(Observations, Texels<&mut TexelSeen>)>::new(&mut pipeline.world);
-        let columns = state.get_mut(&mut pipeline.world);
-        let (observations, texels) = columns.map_err(|error| Error::run("fit", error.to_string()))?;
-        count_seen(observations, texels)?;
+        let counted = pipeline.world.run_system_once(count_seen);
+        counted.map_err(|error| Error::run("fit", error.to_string()))??;
     } else {
         pipeline.run(Phase::Prepare)?;
     }
@@ -104,13 +95,13 @@ fn cameras_in_order(world: &mut World) -> Vec<(ViewIndex, Camera)> {
     cameras
 }
 
-/// Trace: casts the chosen pixels' rays; those that meet the front of the surface become the pool of observed pixels.
+/// Trace: casts the rays of pixels that it chooses; those that meet the front of the surface become the pool of observed pixels.
 pub fn trace_pixels(world: &mut World) -> SystemResult {
-    let chosen = std::mem::take(&mut world.resource_mut::<Candidates>().0);
+    let choice = *world.resource::<PixelChoice>();
+    let chosen = choose_pixels(world, choice)?;
     let scenery = world.resource::<Scenery>().0.clone();
     let made_with = cameras_in_order(world);
     let cameras: ByView<Camera> = made_with.iter().copied().collect();
-    let choice = *world.resource::<PixelChoice>();
     let gradients = world.contains_resource::<GradientsNeeded>();
     // The point of a pixel's ray, if it meets the front of the surface.
     let trace = |pixel: &PixelOf| -> Result<Option<SurfacePoint>> {
@@ -175,15 +166,17 @@ fn with_even_shares(
     let mut texels = Vec::with_capacity(chosen.len());
     for part in chosen.chunks(TRACED_AT_ONCE) {
         check_interrupted()?;
-        let texel = |pixel: &PixelOf| {
-            let Some(SurfacePoint { texels, .. }) = trace(pixel)? else { return Ok(NO_TEXEL) };
-            let most = (0..4).max_by(|a, b| texels.weights[*a].total_cmp(&texels.weights[*b]));
-            Ok(texels.indices[most.unwrap_or(0)])
-        };
+        let texel = |pixel: &PixelOf| Ok(trace(pixel)?.map_or(NO_TEXEL, |point| main_texel(&point.texels)));
         texels.append(&mut part.par_iter().map(texel).collect::<Result<Vec<u32>>>()?);
     }
     let kept = kept_evenly(&texels, most);
     Ok(chosen.into_iter().zip(kept).filter_map(|(pixel, kept)| kept.then_some(pixel)).collect())
+}
+
+/// The texel that counts most at a point.
+pub(super) fn main_texel(texels: &TexelAddress) -> u32 {
+    let most = (0..4).max_by(|a, b| texels.weights[*a].total_cmp(&texels.weights[*b]));
+    texels.indices[most.unwrap_or(0)]
 }
 
 /// Spawns the samples of a step of `batch` pixels.
@@ -259,10 +252,6 @@ pub struct PixelChoice {
 /// There if each observed pixel is to have its [`ImageGradient`], by which cameras are moved.
 #[derive(Resource, Clone, Copy, Debug, Default)]
 pub struct GradientsNeeded;
-
-/// Pixels that are chosen and not yet traced.
-#[derive(Resource, Default)]
-pub struct Candidates(Vec<PixelOf>);
 
 /// A training view with a photograph.
 pub(super) struct ObservedView<'a> {
@@ -340,29 +329,21 @@ const ENOUGH_PER_TEXEL: usize = 4;
 /// Pixels that are drawn and traced for each that is chosen, where texels get their shares.
 const DRAWN: usize = 2;
 
-/// Sample: chooses the usable foreground pixels of the training views, in an order shuffled by the seed.
-pub fn choose_pixels(
-    choice: Res<PixelChoice>,
-    views: Query<ViewColumns>,
-    (placed, placements): (Query<(&ViewIndex, &Placement)>, Option<Res<Placements>>),
-    texels: Query<(), With<TexelIndex>>,
-    mut candidates: ResMut<Candidates>,
-) -> SystemResult {
-    let training = training_views(views.iter());
-    let few = choice.max_pixels / ENOUGH_PER_TEXEL < texels.iter().len();
-    let drawn = if choice.evenly && few { DRAWN } else { 1 };
-    let choice = PixelChoice { max_pixels: choice.max_pixels.saturating_mul(drawn), ..*choice };
-    candidates.0 = match scattered(&training, choice) {
-        Some(scattered) => scattered,
-        None => any_of_all(&training, choice)?,
-    };
+/// Chooses usable foreground pixels of the training views, in an order shuffled by the seed.
+fn choose_pixels(world: &mut World, choice: PixelChoice) -> Result<Vec<PixelOf>> {
+    let texels = world.query_filtered::<(), With<TexelIndex>>().iter(world).len();
+    let drawn = if choice.evenly && choice.max_pixels / ENOUGH_PER_TEXEL < texels { DRAWN } else { 1 };
+    let choice = PixelChoice { max_pixels: choice.max_pixels.saturating_mul(drawn), ..choice };
     // Steps visit groups of photographs one at a time.
-    if let Some(placements) = placements.filter(|placements| placements.has_groups()) {
-        let of_view = |(view, placement): (&ViewIndex, &Placement)| (*view, placements.light(*placement));
-        let groups: ByView<LightGroup> = placed.iter().map(of_view).collect();
-        candidates.0.sort_by_key(|pixel| groups.get(pixel.view).copied());
+    let has_groups = world.get_resource::<Placements>().is_some_and(Placements::has_groups);
+    let groups = has_groups.then(|| groups_of_views(world));
+    let mut views = world.query::<ViewColumns>();
+    let training = training_views(views.iter(world));
+    let mut chosen = scattered(&training, choice).map_or_else(|| any_of_all(&training, choice), Ok)?;
+    if let Some(groups) = groups {
+        chosen.sort_by_key(|pixel| groups.get(pixel.view).copied());
     }
-    Ok(())
+    Ok(chosen)
 }
 
 /// Usable pixels in a random order, cut short; every pixel of every view is looked at.
@@ -474,13 +455,10 @@ fn even_share(counts: &[u32], most: usize) -> (u32, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
-    use glam::{Affine3A, Vec2};
+    use glam::{Affine3A, Vec2, Vec3};
     use lobelia_geometry::view::{Image, Mask, Split, StoredMask};
-    use lobelia_sg::ray::Ray;
-    use lobelia_sg::ray::{Hit, TexelAddress};
-    use lobelia_world::material::TexelIndex;
-    use lobelia_world::pipeline::Stage;
+    use lobelia_sg::ray::{Hit, Ray};
+    use lobelia_world::{material::TexelIndex, pipeline::Stage};
 
     #[test]
     fn rare_texels_keep_all_and_the_others_an_even_share() {
@@ -559,9 +537,7 @@ mod tests {
         world.insert_resource(Scenery(Arc::new(Wall)));
         world.insert_resource(PixelChoice { seed: 1, max_pixels: 10, evenly: false });
         world.spawn((TexelIndex(0), TexelSeen(0.0)));
-        world.init_resource::<Candidates>();
         world.init_resource::<ObservedWindow>();
-        pipeline.add_systems(Phase::Prepare, Stage::Sample, choose_pixels);
         pipeline.add_systems(Phase::Prepare, Stage::Trace, trace_pixels);
         pipeline.add_systems(Phase::Prepare, Stage::Gather, count_seen_texels);
         assert_eq!(make_pool(&mut pipeline).unwrap(), 10);

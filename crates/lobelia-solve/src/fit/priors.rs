@@ -12,24 +12,18 @@
 //! | --- | --- | --- | --- |
 //! | [`pull_to_normal_maps`] | Gradient, after `Slot::ShadingAdjoint` and before what sums its adjoints | [`NormalWeight`], `NormalMap`, `SurfacePoint` | `PointAdjoint` |
 
-use crate::fit::components::TexelSeen;
 use crate::fit::guard::{check_adjoints, step_is_sound};
-use crate::fit::scale::ScaleRule;
+use crate::fit::{components::TexelSeen, scale::ScaleRule};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, Resource, World};
 use bevy_ecs::system::SystemState;
 use glam::{DVec3, Vec3};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::PriorMap;
-use lobelia_geometry::view::{AlbedoMap, ByView, NormalMap, ViewIndex};
-use lobelia_sg::ray::TexelAddress;
-use lobelia_sg::shading::PointAdjoint;
-use lobelia_world::material::sheen::write_albedo;
-use lobelia_world::material::{TexelIndex, USUAL_ALBEDO};
+use lobelia_geometry::view::{AlbedoMap, ByView, NormalMap, PriorMap, ViewIndex};
+use lobelia_geometry::{Error, Result};
+use lobelia_sg::{ray::TexelAddress, shading::PointAdjoint};
+use lobelia_world::material::{TexelIndex, USUAL_ALBEDO, sheen::write_albedo};
 use lobelia_world::pipeline::pool::read_column;
 use lobelia_world::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage, SystemResult};
-use lobelia_world::sample::pixel::PixelOf;
-use lobelia_world::sample::point::SurfacePoint;
-use lobelia_world::sample::{Observations, Samples};
+use lobelia_world::sample::{Observations, Samples, pixel::PixelOf, point::SurfacePoint};
 
 /// Rounds of the mean on each texel and the factor of each map.
 const ROUNDS: usize = 4;
@@ -74,21 +68,15 @@ pub fn pull_to_normal_maps(
             continue;
         }
         let Some(known) = maps.get(pixel.view).and_then(|map| map.at(pixel.pixel as usize)) else { continue };
-        let pull = huber(at.normal - known, SQUARE_BELOW).1 * each;
+        let pull = huber_slope(at.normal - known) * each;
         back.normal = (Vec3::from(back.normal) + pull).into();
     }
     Ok(())
 }
 
-/// Huber's function of the length x of a difference, x²/2s below s and x − s/2 above, and its gradient.
-fn huber(difference: Vec3, square_below: f32) -> (f32, Vec3) {
-    let length = difference.length();
-    let value = if length < square_below {
-        length * length / (2.0 * square_below)
-    } else {
-        length - 0.5 * square_below
-    };
-    (value, difference / length.max(square_below))
+/// The gradient of Huber's function of the length x of a difference, x²/2s below s = [`SQUARE_BELOW`] and x − s/2 above.
+fn huber_slope(difference: Vec3) -> Vec3 {
+    difference / difference.length().max(SQUARE_BELOW)
 }
 
 /// A pixel with what its map says of it.
@@ -196,10 +184,13 @@ mod tests {
 
     #[test]
     fn the_slope_of_hubers_function_agrees_with_central_differences() {
+        let huber = |x: f32| {
+            if x < SQUARE_BELOW { x * x / (2.0 * SQUARE_BELOW) } else { x - 0.5 * SQUARE_BELOW }
+        };
         for difference in [Vec3::new(0.3, -0.4, 0.1), Vec3::new(0.02, 0.01, -0.03)] {
-            let slope = huber(difference, SQUARE_BELOW).1;
+            let slope = huber_slope(difference);
             for axis in Vec3::AXES {
-                let at = |step: f32| huber(difference + axis * step, SQUARE_BELOW).0;
+                let at = |step: f32| huber((difference + axis * step).length());
                 let central = (at(1e-3) - at(-1e-3)) / 2e-3;
                 assert!((central - slope.dot(axis)).abs() < 1e-3, "{difference}: {central} {slope}");
             }

@@ -7,7 +7,7 @@
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
 //! | [`pull_back_radiance`](crate::fit::systems::pull_back_radiance) | `Slot::ShadingAdjoint` | samples, base materials | adjoints of samples, light, materials, blends |
-//! | [`scatter_to_blends`] | Gradient | [`BlendAdjoints`], texel addresses | [`BlendGradient`] |
+//! | [`scatter_to_blends`] | Gradient | [`StepGradient`], texel addresses | [`BlendGradient`] |
 //! | [`move_blends`] | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`] | `SpecularBlend` |
 //!
 //! Or each texel has a roughness of its own, and a factor on the specular albedo, with a smoothness prior: it blends the two nearest of several
@@ -15,18 +15,16 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | `tie_specular` | Update, `Slot::Optimizer` | | `SpecularGradient`: one albedo for all base materials |
+//! | `tie_specular` | Update, `Slot::Optimizer` | | `StepGradient`: one albedo for all base materials |
 //! | `move_roughness` | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`], [`RoughnessPrior`], `DiffuseAlbedo` | [`TexelRoughness`], `SpecularBlend` |
 
-use crate::fit::components::{AdamStep, Bounded, Moments, SpecularGradient, StepRates, Unknowns};
-use bevy_ecs::prelude::{Component, Query, Res, Resource, World};
+use crate::fit::components::{AdamStep, Bounded, Moments, StepGradient, StepRates, Unknowns};
+use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
 use glam::{UVec3, Vec3};
 use lobelia_geometry::mesh::atlas::TexelAtlas;
-use lobelia_world::material::material_source::BaseMaterials;
 use lobelia_world::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, Texels, texels_in_order};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::point::SurfacePoint;
+use lobelia_world::sample::{Samples, point::SurfacePoint};
+use lobelia_world::{material::material_source::BaseMaterials, pipeline::SystemResult};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -40,10 +38,6 @@ pub struct BlendGradient(pub PerMaterial);
 /// Adam's moments of a texel's logits.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BlendMoments(pub Moments<MAX_SPECULAR_LOBES>);
-
-/// Adjoints of the blend weights at the window's samples.
-#[derive(Resource, Default)]
-pub struct BlendAdjoints(pub Vec<PerMaterial>);
 
 /// Positions of the texels, for the lattice over which their gradients are averaged. Blends move only if every texel has a position.
 #[derive(Resource, Default)]
@@ -69,7 +63,7 @@ const CELLS: (f32, f32) = (8.0, 48.0);
 /// Gradient: adds the blend adjoints of the samples to their texels, in the order of [`SampleIndex`](lobelia_world::sample::pixel::SampleIndex).
 pub fn scatter_to_blends(
     materials: Res<BaseMaterials>,
-    adjoints: Res<BlendAdjoints>,
+    gradient: Res<StepGradient>,
     samples: Samples<&SurfacePoint>,
     texels: Texels<&mut BlendGradient>,
 ) -> SystemResult {
@@ -79,7 +73,7 @@ pub fn scatter_to_blends(
     let points = samples.columns()?;
     let mut texels = texels.columns()?.quiet();
     let texels = &mut *texels;
-    for (point, adjoint) in points.iter().zip(&adjoints.0) {
+    for (point, adjoint) in points.iter().zip(&gradient.blends) {
         for (texel, weight) in point.texels.indices.into_iter().zip(point.texels.weights) {
             // Texels that were added after the start of the fit have no gradient.
             let Some(sums) = texels.get_mut(texel as usize) else { continue };
@@ -332,10 +326,10 @@ pub fn attach_roughness(world: &mut World, roughness: f32, varied_specular: bool
 }
 
 /// Update: sums the gradients of the specular albedo over all base materials, so that they keep one common albedo.
-pub(crate) fn tie_specular(mut materials: Query<&mut SpecularGradient>) {
+pub(crate) fn tie_specular(mut gradient: ResMut<StepGradient>) {
     let mut sum = [0.0; 3];
-    materials.iter().for_each(|g| (0..3).for_each(|c| sum[c] += g.0[c]));
-    materials.iter_mut().for_each(|mut gradient| gradient.0[..3].copy_from_slice(&sum));
+    gradient.specular.iter().for_each(|of| (0..3).for_each(|c| sum[c] += of.albedo[c]));
+    gradient.specular.iter_mut().for_each(|of| of.albedo = sum);
 }
 
 /// Update: Adam on the texels' roughness and share; clears the gradient.

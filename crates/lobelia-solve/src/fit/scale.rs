@@ -18,20 +18,16 @@ use crate::fit::components::{AdamStep, Moments, StepRates, TexelSeen, Unknowns};
 use crate::fit::metal::{Metals, metalness};
 use bevy_ecs::prelude::{DetectChangesMut, Query, Res, ResMut, Resource, World};
 use glam::{DVec3, Vec3, Vec4};
-use lobelia_geometry::error::Result;
+use lobelia_geometry::Result;
 use lobelia_sg::sg::sphere_integral;
 use lobelia_sg::shading::{Layers, RadianceAdjoint, ShadePoint};
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::groups::FittedLobe;
-use lobelia_world::light::lights::own_lobes;
-use lobelia_world::material::sheen::write_albedo;
+use lobelia_world::light::{LightLobe, groups::FittedLobe, lights::own_lobes};
 use lobelia_world::material::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe, TexelIndex, Texels, USUAL_ALBEDO,
+    sheen::write_albedo,
 };
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::read_column;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::point::PointBlend;
+use lobelia_world::pipeline::{SystemResult, pool::read_column};
+use lobelia_world::sample::{Samples, point::PointBlend};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;

@@ -16,20 +16,16 @@
 //! collect.
 
 use crate::fit::components::{AdamStep, AlbedoGradient, AlbedoMoments, Moments, StepRates, Unknowns};
-use crate::fit::exposure::Exposures;
-use crate::fit::loss::radiance;
-use crate::fit::systems::moved_color;
+use crate::fit::{exposure::Exposures, loss::radiance, systems::moved_color};
 use bevy_ecs::prelude::{Component, Res, ResMut, Resource, With, World};
 use glam::Vec3;
 use lobelia_geometry::view::{Camera, Photograph, Split, ViewIndex};
 use lobelia_sg::shading::{Layers, PointAdjoint, ShadePoint};
 use lobelia_world::material::sheen::{KnownAlong, grazing, has_sheen};
 use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, TexelIndex, Texels};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::read_column;
-use lobelia_world::sample::Samples;
+use lobelia_world::pipeline::{SystemResult, pool::read_column};
 use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::point::SurfacePoint;
+use lobelia_world::sample::{Samples, point::SurfacePoint};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -92,11 +88,7 @@ pub fn follow_known(
 
 /// Update: Adam on the logits of each texel's albedo straight on and along the surface, instead of
 /// [`move_texels`](crate::fit::systems::move_texels), if the sheen is unknown; clears the gradients.
-pub fn move_sheen(
-    rates: Res<StepRates>,
-    unknowns: Res<Unknowns>,
-    texels: Texels<SheenColumns>,
-) -> SystemResult {
+pub fn move_sheen(rates: Res<StepRates>, unknowns: Res<Unknowns>, texels: Texels<Columns>) -> SystemResult {
     if !unknowns.sheen {
         return Ok(());
     }
@@ -119,7 +111,7 @@ pub fn move_sheen(
     Ok(())
 }
 
-type SheenColumns = (
+type Columns = (
     (&'static mut DiffuseAlbedo, &'static mut DiffuseSheen),
     (&'static mut AlbedoGradient, &'static mut SheenGradient),
     (&'static mut AlbedoMoments, &'static mut SheenMoments),
@@ -195,11 +187,6 @@ pub struct SheenEvidence {
 }
 
 impl SheenEvidence {
-    /// Whether the surface has a sheen, as far as the evidence says.
-    pub fn is_convincing(&self) -> bool {
-        self.explained.is_some_and(|explained| explained > CONVINCING)
-    }
-
     /// The part of the squared residuals of views kept aside that a sheen explains: below 0 if it makes them worse, 0 if there are none.
     fn explained_part(&self) -> f64 {
         let (mut without, mut with) = (0.0, 0.0);
@@ -257,7 +244,7 @@ pub(crate) fn choose_sheen(world: &mut World, progress: f32) {
         evidence.explained = Some(evidence.explained_part());
         evidence.cells.clear();
     }
-    let convincing = evidence.is_convincing();
+    let convincing = evidence.explained.is_some_and(|explained| explained > CONVINCING);
     let mut unknowns = world.resource_mut::<Unknowns>();
     unknowns.sheen |= convincing && unknowns.albedo;
 }
@@ -334,7 +321,6 @@ mod tests {
         assert!(evidence(0.0, 0.0, 0.2).explained_part() < CONVINCING);
         assert_eq!(evidence(0.0, 0.0, 0.0).explained_part(), 0.0);
         assert_eq!(SheenEvidence::default().explained_part(), 0.0);
-        assert!(!SheenEvidence::default().is_convincing());
     }
 
     #[test]

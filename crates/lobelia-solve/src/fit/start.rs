@@ -11,13 +11,10 @@ use crate::fit::initialization::{Known, least_rough, lobes_of, with_initializati
 use crate::fit::placements::{camera_axes, placements_are_open};
 use bevy_ecs::prelude::{Resource, With, World};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::view::Placement;
+use lobelia_geometry::{Result, error::stop::check_interrupted, view::Placement};
 use lobelia_sg::shading::ClosedForm;
-use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame, turning_axis};
-use lobelia_world::light::placement::Placements;
+use lobelia_world::light::{LightLobe, placement::Placements};
 use lobelia_world::material::{BaseMaterial, SpecularLobe, recovered_albedo, recovered_materials};
 use serde::{Deserialize, Serialize};
 use tracing::info_span;
@@ -123,7 +120,7 @@ fn errors(
             with_initialization(world, known, |problem| {
                 for lobe in tried {
                     let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
-                    problem.specular = *lobe;
+                    problem.known.specular = *lobe;
                     problem.alternate(&mut lobes, &mut texels)?;
                     errors[at].push(problem.error(&lobes, &texels)?);
                 }

@@ -19,13 +19,9 @@
 use crate::shape::silhouette::{MIN_VIEWS, Sighting, Silhouette};
 use glam::{Mat3, Vec3};
 use lobelia_geometry::error::stop::{check_interrupted, is_stopping};
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::sdf::SdfGrid;
-use lobelia_geometry::sdf::extract::extract_components;
-use lobelia_geometry::view::raster::signed_distance;
-use lobelia_geometry::view::{Mask, StoredMask};
-use lobelia_geometry::{Error, Result};
+use lobelia_geometry::mesh::{bvh::TriangleBvh, triangles::Mesh};
+use lobelia_geometry::view::{Mask, StoredMask, raster::signed_distance};
+use lobelia_geometry::{Error, Result, sdf::SdfGrid, sdf::extract::extract_components};
 use lobelia_sg::ray::Ray;
 use rayon::prelude::*;
 
@@ -266,8 +262,7 @@ pub fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<Vec<Stri
         });
         if all == 0 { 1.0 } else { hit as f32 / all as f32 }
     };
-    let mut shares: Vec<(f32, &str)> =
-        silhouettes.par_iter().map(|view| (covered(view), view.name.as_str())).collect();
+    let mut shares: Vec<_> = silhouettes.par_iter().map(|view| (covered(view), view.name.as_str())).collect();
     check_interrupted()?;
     shares.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(b.1)));
     let percent = |share: f32| (100.0 * share).round();

@@ -1,13 +1,12 @@
 //! Photographs with masks as small pictures of the object alone, in gray for stereo and in color for hollows.
 
+use crate::fit::loss::coded_luminance;
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use glam::{Vec3, Vec3A};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_geometry::view::{Camera, Photograph, PixelWindow, Placement, StoredMask, ViewIndex};
-use lobelia_sg::color::{luminance, srgb_from_linear};
-use lobelia_sg::ray::Ray;
-use lobelia_sg::statistics::median;
+use lobelia_geometry::{error::stop::is_stopping, mesh::bvh::TriangleBvh};
+use lobelia_sg::color::srgb_from_linear;
+use lobelia_sg::{ray::Ray, statistics::median};
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
 
@@ -58,7 +57,7 @@ impl PixelValue for u16 {
     const NONE: Self = 0;
 
     fn of(light: Vec3) -> Self {
-        (1.0 + srgb_from_linear(luminance(light).clamp(0.0, 1.0)) * 65534.0) as Self
+        (1.0 + coded_luminance(light) * 65534.0) as Self
     }
 
     #[inline]

@@ -1,7 +1,6 @@
 //! Cameras around an object, and what they show of it.
 
-use crate::shape::pictures::TrainingView;
-use crate::shape::silhouette::Silhouette;
+use crate::shape::{pictures::TrainingView, silhouette::Silhouette};
 use glam::Vec3;
 use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::view::{Camera, Image, Mask, Photograph, Placement, StoredMask, ViewIndex};

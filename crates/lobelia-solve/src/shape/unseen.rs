@@ -8,11 +8,9 @@
 //! Source: motion of level sets by mean curvature (Osher and Sethian, "Fronts Propagating with Curvature-Dependent Speed", 1988,
 //! ∂φ/∂t = κ |∇φ|).
 
-use crate::shape::silhouette::Silhouette;
-use crate::shape::{cube, is_border, volume};
+use crate::shape::{cube, is_border, silhouette::Silhouette, volume};
 use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::{error::stop::is_stopping, sdf::SdfGrid};
 use rayon::prelude::*;
 
 /// Cosine of the angle between ray and normal from which one view, and from which each of two, sees a surface: flatter rays only touch the
@@ -188,9 +186,8 @@ fn lost(hull: &SdfGrid, now: &SdfGrid, silhouettes: &[Silhouette]) -> Vec<bool> 
         let depth = (DEPTH * view.cell_pixels(hull)).min(MOST_DEPTH);
         let inner = mask_pixels(hull, view).filter(|&pixel| view.distance(pixel) < -depth);
         let rays = inner.map(|pixel| view.ray(pixel)).filter(|ray| now.first_crossing(ray, 0.0).is_none());
-        let points =
-            rays.filter_map(|ray| Some(ray.origin + ray.direction * hull.first_crossing(&ray, 0.0)?));
-        points.flat_map(|point| hull.corners(point).map(|(row, _)| row)).collect()
+        let met = rays.filter_map(|ray| Some(ray.origin + ray.direction * hull.first_crossing(&ray, 0.0)?));
+        met.flat_map(|point| hull.corners(point).map(|(row, _)| row)).collect()
     };
     let rows: Vec<Vec<usize>> = silhouettes.par_iter().map(of_view).collect();
     let mut is_lost = vec![false; hull.values.len()];
@@ -201,8 +198,7 @@ fn lost(hull: &SdfGrid, now: &SdfGrid, silhouettes: &[Silhouette]) -> Vec<bool> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shape::hull::visual_hull;
-    use crate::shape::test_support;
+    use crate::shape::{hull::visual_hull, test_support};
     use lobelia_geometry::view::Camera;
 
     /// The masks of a field, by cameras on a part of a circle at a height.

@@ -11,11 +11,9 @@ use glam::{Mat3, Vec3};
 use lobelia_geometry::mesh::Surface;
 use lobelia_sg::fibonacci::fibonacci_axes;
 use lobelia_sg::shading::{LobeColumns, LobeVisibility, PointVisibility};
-use lobelia_world::sample::pixel::PixelOf;
-use lobelia_world::sample::point::SurfacePoint;
+use lobelia_world::sample::{pixel::PixelOf, point::SurfacePoint};
 use rayon::prelude::*;
-use std::any::TypeId;
-use std::sync::Arc;
+use std::{any::TypeId, sync::Arc};
 
 /// Angle below which two rotations count as one: 2°.
 const SAME_TURN: f32 = 0.035;
@@ -188,7 +186,7 @@ impl ObjectVisibility {
         let pixel_of = |i: usize| points[i].is_hit().then(|| viewer(i).1);
         let firsts = rays.map_or_else(
             || (0..points.len()).collect(),
-            |rays| first_of_alike(points.len(), pixel_of, at, NEAR * rays.radius()),
+            |rays| first_of_alike(points.len(), pixel_of, at, NEAR * rays.surface.radius()),
         );
         rows.stride = self.stride;
         rows.rows.resize(points.len() * self.stride, 255);

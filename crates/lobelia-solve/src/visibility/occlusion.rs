@@ -8,11 +8,9 @@ use crate::visibility::texel_visibility::{TOGETHER, TexelVisibility};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
 use lobelia_sg::accurate::diffuse::cosine_integral;
-use lobelia_sg::brdf::ndf_sharpness;
 use lobelia_sg::lanes::{Lanes, MAX_LANES, Row};
 use lobelia_sg::real::{Real, dot};
-use lobelia_sg::sg::sphere_integral;
-use lobelia_sg::shading::LobeColumns;
+use lobelia_sg::{brdf::ndf_sharpness, sg::sphere_integral, shading::LobeColumns};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -353,10 +351,8 @@ fn cell_angle(visibility: &TexelVisibility) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lobelia_geometry::mesh::Surface;
-    use lobelia_geometry::mesh::primitive::ball_over_plate;
-    use lobelia_sg::fibonacci::fibonacci_axes;
-    use lobelia_sg::sg::Lobe;
+    use lobelia_geometry::mesh::{Surface, primitive::ball_over_plate};
+    use lobelia_sg::{fibonacci::fibonacci_axes, sg::Lobe};
 
     #[test]
     fn parts_of_lobes_are_what_a_plain_sum_leaves() {

@@ -8,15 +8,11 @@ use crate::visibility::occlusion::{Bounce, Cones, MOST_MIRRORED, Mirror, Sky, sh
 use crate::visibility::texel_visibility::{MAX_DIRECTIONS, OFFSET, TOGETHER, TexelVisibility};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
-use lobelia_sg::brdf::ndf_sharpness;
-use lobelia_sg::color::luminance;
-use lobelia_sg::lanes::Lanes;
 use lobelia_sg::ray::{Hit, Intersect};
 use lobelia_sg::real::{Real, dot};
-use lobelia_sg::shading::PointVisibility;
+use lobelia_sg::{brdf::ndf_sharpness, color::luminance, lanes::Lanes, shading::PointVisibility};
 use lobelia_world::sample::pixel::PixelOf;
-use std::f32::consts::PI;
-use std::sync::LazyLock;
+use std::{f32::consts::PI, sync::LazyLock};
 
 /// Directions contribute to specular light where the BRDF lobe is above e to the power of minus this.
 const MIRROR_REACH: f32 = 4.0;
@@ -88,24 +84,14 @@ pub(crate) fn first_of_alike(
 /// Rays within narrow lobes.
 #[derive(Clone, Copy)]
 pub struct LobeRays<'a> {
-    surface: &'a dyn Intersect,
+    pub(super) surface: &'a dyn Intersect,
     spiral: &'a [InLobe],
 }
 
 impl<'a> LobeRays<'a> {
-    /// The rays of a picture.
-    pub fn of_frame(surface: &'a dyn Intersect) -> Self {
-        Self { surface, spiral: &*SPIRAL }
-    }
-
-    /// The rays of a step of a fit: fewer.
-    pub fn of_step(surface: &'a dyn Intersect) -> Self {
-        Self { surface, spiral: &*SPIRAL_OF_STEP }
-    }
-
-    /// Radius of the surface.
-    pub(super) fn radius(&self) -> f32 {
-        self.surface.radius()
+    /// The rays of a picture, or the fewer of a step of a fit.
+    pub fn new(surface: &'a dyn Intersect, of_step: bool) -> Self {
+        Self { surface, spiral: if of_step { &*SPIRAL_OF_STEP } else { &*SPIRAL } }
     }
 }
 
@@ -154,10 +140,9 @@ impl Surroundings<'_> {
         if let Some(rays) = rays.filter(|_| narrow > LEAST_SHARPNESS) {
             return Some(self.part_by_rays(rays, point, axis, narrow));
         }
-        let lobe = MirroredLobe { axis, sharpness, least, normal };
-        let mut weights = [0.0; MAX_DIRECTIONS];
+        let (vectors, lobe, mut weights) = ([axis, normal], [sharpness, least], [0.0; MAX_DIRECTIONS]);
         let unhidden =
-            dispatch!(Level::new(), simd => weigh_directions(simd, sky, &lobe, &near, &mut weights));
+            dispatch!(Level::new(), simd => weigh_directions(simd, sky, vectors, lobe, &near, &mut weights));
         let arriving = rows.fold(unhidden, |arriving, (row, part)| {
             // A back face sends nothing.
             let sent = |hider: u32| bounce.leaving.get(hider as usize).copied().unwrap_or(Vec3::ZERO);
@@ -287,25 +272,19 @@ fn cones_near<S: Simd>(simd: S, cones: &Cones, first: usize, axis: Vec3, least: 
     (farthest.bits_below(to_axis) | all) & (u64::MAX >> (64 - Lanes::<S>::LEN))
 }
 
-/// The lobe of the BRDF around the mirrored view, where its cosine to a direction is above `least`, times the cosine with `normal`.
-struct MirroredLobe {
-    axis: Vec3,
-    sharpness: f32,
-    least: f32,
-    normal: Vec3,
-}
-
-/// The lobe's value at each direction, in groups of lanes of which a bit of `near` is set, and the light of the whole sky weighted by it.
+/// The lobe of the BRDF around the mirrored view, `axis`, where its cosine to a direction is above `least`, times the cosine with `normal`: its value at
+/// each direction, in groups of lanes of which a bit of `near` is set, and the light of the whole sky weighted by it.
 #[inline(always)]
 fn weigh_directions<S: Simd>(
     simd: S,
     sky: &Sky,
-    lobe: &MirroredLobe,
+    [axis, normal]: [Vec3; 2],
+    [sharpness, least]: [f32; 2],
     near: &[u64],
     weights: &mut [f32; MAX_DIRECTIONS],
 ) -> Vec3 {
-    let [axis, normal] = [lobe.axis, lobe.normal].map(|v| v.to_array().map(|c| Lanes::splat(simd, c)));
-    let [least, sharpness, zero] = [lobe.least, lobe.sharpness, 0.0].map(|c| Lanes::splat(simd, c));
+    let [axis, normal] = [axis, normal].map(|v| v.to_array().map(|c| Lanes::splat(simd, c)));
+    let [least, sharpness, zero] = [least, sharpness, 0.0].map(|c| Lanes::splat(simd, c));
     let mut light = [zero; 3];
     let group = u64::MAX >> (64 - Lanes::<S>::LEN);
     for at in (0..sky.directions[0].len()).step_by(Lanes::<S>::LEN) {
@@ -330,10 +309,8 @@ fn weigh_directions<S: Simd>(
 mod tests {
     use super::*;
     use crate::visibility::texel_visibility::cluster;
-    use lobelia_sg::fibonacci::fibonacci_axes;
     use lobelia_sg::ray::{Ray, TexelAddress};
-    use lobelia_sg::sg::Lobe;
-    use lobelia_sg::shading::LobeColumns;
+    use lobelia_sg::{fibonacci::fibonacci_axes, sg::Lobe, shading::LobeColumns};
     use std::f32::consts::LN_2;
 
     #[test]
@@ -404,7 +381,7 @@ mod tests {
     fn a_lobe_that_meets_a_wall_has_its_light() {
         let sky = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
         let red = Mirror { diffuse: Vec3::new(1.0, 0.5, 0.0), ..Mirror::default() };
-        for rays in [LobeRays::of_frame(&Wall), LobeRays::of_step(&Wall)] {
+        for rays in [false, true].map(|of_step| LobeRays::new(&Wall, of_step)) {
             let part = |axis: Vec3| part_over(Vec3::Y, rays, axis, red, &sky);
             assert!(part(Vec3::new(1.0, 1.0, 0.0)).abs_diff_eq(Vec3::new(0.5, 0.25, 0.0), 1e-3));
             assert!(part(Vec3::new(-1.0, 1.0, 0.0)).abs_diff_eq(Vec3::ONE, 1e-6));
@@ -418,7 +395,7 @@ mod tests {
         let white = Mirror { albedo: Vec3::ONE, sharpness: 5000.0, ..Mirror::default() };
         let even = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
         let part =
-            |axis: Vec3, wall, sky: &Sky| part_over(Vec3::Y, LobeRays::of_frame(&Wall), axis, wall, sky);
+            |axis: Vec3, wall, sky: &Sky| part_over(Vec3::Y, LobeRays::new(&Wall, false), axis, wall, sky);
         assert!(part(Vec3::new(1.0, 1.0, 0.0), white, &even).abs_diff_eq(Vec3::ONE, 1e-3));
         // The lamp in the mirror is behind the point; toward the wall it is dark.
         let lamp = |dark: f32| sky(&[([-1.0, 0.0, 0.0], 30.0, 1.0), ([1.0, 0.0, 0.0], 0.5, dark)]);
@@ -434,7 +411,7 @@ mod tests {
     #[test]
     fn rays_that_enter_the_flat_triangle_see_the_sky() {
         let sky = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
-        let (rays, axis) = (LobeRays::of_frame(&Wall), Vec3::new(1.0, 0.1, 0.0));
+        let (rays, axis) = (LobeRays::new(&Wall, false), Vec3::new(1.0, 0.1, 0.0));
         let part = |geometric: Vec3| part_over(geometric, rays, axis, Mirror::default(), &sky);
         assert_eq!(part(Vec3::Y), Vec3::ZERO);
         assert_eq!(part(Vec3::new(-0.5, 0.8, 0.0)), Vec3::ONE);

@@ -4,19 +4,17 @@
 //! every few steps (`refresh_is_due`).
 
 use super::object_visibility::{Made, ObjectVisibility, WindowVisibility};
-use super::occlusion::Reflectance;
-use super::point_visibility::LobeRays;
+use super::{occlusion::Reflectance, point_visibility::LobeRays};
 use bevy_ecs::prelude::{
     Changed, IntoScheduleConfigs, Or, Query, Res, ResMut, Resource, SystemCondition, World,
 };
+use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use lobelia_sg::shading::PointVisibility;
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::lights::IncidentLight;
+use lobelia_world::light::{LightLobe, lights::IncidentLight};
 use lobelia_world::material::material_source::{
     BaseMaterials, ColumnOf, Holds, MaterialSource, MaterialTexels, RecoveredMaterial, ShownMaterial,
 };
-use lobelia_world::material::sheen::mean_albedo;
-use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe};
+use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe, sheen::mean_albedo};
 use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
 use lobelia_world::sample::pixel::{PixelOf, ViewRay};
 use lobelia_world::sample::point::{PointBlend, Scenery, SurfacePoint};
@@ -33,8 +31,7 @@ pub struct FrameVisibilityPlugin;
 impl Plugin for FrameVisibilityPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline.world.init_resource::<WindowVisibility>();
-        let refresh = refresh_visibility::<ShownMaterial>.run_if(light_or_material_changed::<ShownMaterial>);
-        pipeline.swap(Phase::Frame, Slot::Visibility, (refresh, gather_visibility).chain());
+        pipeline.swap(Phase::Frame, Slot::Visibility, see_material::<ShownMaterial>());
     }
 
     fn cleanup(world: &mut World) {
@@ -52,13 +49,19 @@ impl Plugin for FitVisibilityPlugin {
         pipeline.world.insert_resource(RefreshDue(true));
         let refresh = refresh_visibility::<RecoveredMaterial>
             .run_if(refresh_is_due.and_then(light_or_material_changed::<RecoveredMaterial>));
-        pipeline.swap(Phase::FitStep, Slot::Visibility, (refresh, gather_visibility_of_step).chain());
+        pipeline.swap(Phase::FitStep, Slot::Visibility, (refresh, gather_visibility::<true>).chain());
     }
 
     fn cleanup(world: &mut World) {
         world.insert_resource(WindowVisibility::default());
         world.remove_resource::<RefreshDue>();
     }
+}
+
+/// Shadows and interreflection of a material, updated whenever it or the light has changed.
+pub(crate) fn see_material<M: MaterialSource>() -> ScheduleConfigs<ScheduleSystem> {
+    let refresh = refresh_visibility::<M>.run_if(light_or_material_changed::<M>);
+    (refresh, gather_visibility::<false>).chain()
 }
 
 /// Run condition: whether this step of a fit updates visibility, or the set of lobes has changed.
@@ -118,40 +121,11 @@ pub fn refresh_visibility<M: MaterialSource>(
     Ok(())
 }
 
-/// The columns that the visibility of a point depends on.
-type PointColumns = (
-    &'static SurfacePoint,
-    &'static ViewRay,
-    &'static PixelOf,
-    &'static PointBlend,
-    &'static mut PointVisibility,
-);
-
-/// Gather: the visibility of the points of the window.
-pub fn gather_visibility(
+/// Gather: the visibility of the points of the window; with fewer rays in a step of a fit.
+pub fn gather_visibility<const OF_STEP: bool>(
     object: Res<ObjectVisibility>,
     (materials, scenery): (Res<BaseMaterials>, Res<Scenery>),
-    samples: Samples<PointColumns>,
-    out: ResMut<WindowVisibility>,
-) -> SystemResult {
-    see_points(&object, &materials, LobeRays::of_frame(&*scenery.0), samples, out)
-}
-
-/// Gather: the same in a step of a fit, with fewer rays.
-pub fn gather_visibility_of_step(
-    object: Res<ObjectVisibility>,
-    (materials, scenery): (Res<BaseMaterials>, Res<Scenery>),
-    samples: Samples<PointColumns>,
-    out: ResMut<WindowVisibility>,
-) -> SystemResult {
-    see_points(&object, &materials, LobeRays::of_step(&*scenery.0), samples, out)
-}
-
-fn see_points(
-    object: &ObjectVisibility,
-    materials: &BaseMaterials,
-    lobe_rays: LobeRays,
-    samples: Samples<PointColumns>,
+    samples: Samples<(&SurfacePoint, &ViewRay, &PixelOf, &PointBlend, &mut PointVisibility)>,
     mut out: ResMut<WindowVisibility>,
 ) -> SystemResult {
     let (points, rays, pixels, blends, mut seen) = samples.columns()?;
@@ -160,6 +134,7 @@ fn see_points(
         [(_, one)] => one.roughness,
         _ => SpecularBlend(blends[i].0).roughness(materials.by_number()),
     };
+    let lobe_rays = LobeRays::new(&*scenery.0, OF_STEP);
     object.window(&points, viewer, mean, Some(lobe_rays), &mut out, &mut seen);
     Ok(())
 }

@@ -11,11 +11,9 @@
 //! there the field is dense too deep, and would eat into the object.
 
 use super::radiance_field::{FieldRay, RadianceField, depth, march};
-use crate::shape::pictures::ColorPicture;
-use crate::shape::{cube, flood, neighbors, size};
+use crate::shape::{cube, flood, neighbors, pictures::ColorPicture, size};
 use glam::{Vec3, Vec4, Vec4Swizzles};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::{error::stop::is_stopping, sdf::SdfGrid};
 use rayon::prelude::*;
 
 /// Before the depth at which half of the light is stopped, and behind it, space counts as that where a ray is stopped, in cells.

@@ -20,18 +20,13 @@ mod compare;
 mod evidence;
 mod radiance_field;
 
-use crate::shape::hull::extract_parts;
 use crate::shape::pictures::{ColorPicture, MatchPicture, Seen, TrainingView, picture_factor};
-use crate::shape::shell::Shell;
-use crate::shape::silhouette::Silhouette;
-use crate::shape::stereo::pattern_shares;
-use crate::shape::{cube, flood, is_border, neighbors, size, volume};
+use crate::shape::{cube, flood, hull::extract_parts, is_border, neighbors, shell::Shell, size, volume};
+use crate::{shape::silhouette::Silhouette, shape::stereo::pattern_shares};
 use compare::{SINE, around, compare};
 use evidence::emptiness;
 use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::{error::stop::is_stopping, mesh::bvh::TriangleBvh, sdf::SdfGrid};
 use radiance_field::{FieldRay, fit};
 use rayon::prelude::*;
 
@@ -203,13 +198,8 @@ fn carve(grid: &mut SdfGrid, empty: &[f32]) {
 /// Reflections in metal or glaze seem to lie behind the surface, as the floor of a hollow does. But the floor of a hollow is a surface
 /// with a pattern, on which all photographs agree once it is laid open; on the floor of a space that a reflection has opened they agree
 /// no better than before ([`pattern_shares`]). Each connected space is judged as a whole by the surface that borders on it.
-fn fill_reflections(
-    grid: &mut SdfGrid,
-    closed: &SdfGrid,
-    silhouettes: &[Silhouette],
-    pictures: &[MatchPicture],
-) {
-    let mesh = extract_parts(grid, silhouettes);
+fn fill_reflections(grid: &mut SdfGrid, closed: &SdfGrid, views: &[Silhouette], pictures: &[MatchPicture]) {
+    let mesh = extract_parts(grid, views);
     let shell = Shell::new(&mesh);
     let shares = pattern_shares(&mesh, &shell, pictures);
     if is_stopping() {
