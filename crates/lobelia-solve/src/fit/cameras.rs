@@ -1,12 +1,5 @@
 //! Cameras as unknowns: the pose of each training view and one factor on all focal lengths, optimized together with the rest of a fit.
 //!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`take_gradients`] | Sample | observed pixels | [`ImageGradient`] |
-//! | [`retrace_still_surface`] | Trace, `Slot::Retrace` | rays, `Scenery` | surface points; a moving surface has its own system |
-//! | [`align_photographs`] | Gradient, `Slot::CameraGradient` | points, radiance, gradients | [`CameraPose`]: normal equations |
-//! | [`move_cameras`] | Update, `Slot::CameraUpdate` | normal equations | [`CameraPose`], cameras |
-//!
 //! The rays of a step are cast through the cameras as they are then ([`crate::fit::observe::take_observations`]).
 //!
 //! Direct image alignment (Lucas and Kanade 1981; Engel, Koltun and Cremers 2018): a surface point keeps its position and its
@@ -513,8 +506,7 @@ mod tests {
         (reach > 0.05).then(|| ray.origin + (along - reach.sqrt()) * ray.direction)
     }
 
-    /// Normal equations of a view of the ball: its pattern as `camera` predicts it, moved by `object`, against a photograph from
-    /// `truth`.
+    /// Normal equations of a view of the ball: its pattern as `camera` predicts it, moved by `object`, against a photograph from `truth`.
     fn equations(camera: &Camera, truth: &Camera, object: impl Fn(Vec3) -> Vec3) -> PoseSums {
         let mut sums = PoseSums::default();
         let photograph = |x: f32, y: f32| on_ball(truth, x, y).map(|p| pattern(object(p)));
@@ -548,12 +540,8 @@ mod tests {
         for _ in 0..8 {
             let view = |i: usize| {
                 let camera = moved(&given[i], &poses[i], focal);
-                AlignedView {
-                    sums: equations(&camera, &truth[i], &object),
-                    pose: poses[i],
-                    prior: PRIOR,
-                    camera,
-                }
+                let sums = equations(&camera, &truth[i], &object);
+                AlignedView { sums, pose: poses[i], prior: PRIOR, camera }
             };
             let views: Vec<AlignedView> = (0..given.len()).map(view).collect();
             let (steps, change) = solve(&views, Vec3::ZERO, known, focal);

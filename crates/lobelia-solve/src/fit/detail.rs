@@ -7,15 +7,6 @@
 //! over all pixels take back what this blurs (as SIRT does, Gilbert 1972). Pixels that disagree with the others of a texel, by highlights
 //! and shadows that the model does not have, count less.
 //!
-//! | system | stage, slot | writes |
-//! | --- | --- | --- |
-//! | [`show_pixels`] | Detail: Sample | the pixels of this run as samples |
-//! | `trace_samples` | Detail: Trace | where their rays meet the surface |
-//! | those of [`GatherPoints`], [`whiten_points`] | Detail: Gather | what shading needs, for a white surface |
-//! | `provide_light`, `refresh_visibility`, `gather_visibility` | Detail: `Slot::Light`, `Slot::Visibility` | light and shadows as in a fit |
-//! | `shade_closed_form` | Detail: `Slot::Shading` | diffuse radiance of a white surface, specular radiance |
-//! | [`keep_pixels`] | Detail: Gradient | [`DetailPixels`] |
-//!
 //! The equations of a texel: with light, shape and specular lobes held, the radiance of a pixel is L = (ρ + g s + ρ̄ t · v⊥) u + L_s in the albedo
 //! ρ, the sheen s ([`lobelia_world::material::sheen`]) and the tilt t ([`lobelia_world::material::tilt`]) of its texels, where g = 1 − c and u is
 //! the diffuse radiance of a white surface. A pixel with residual r then says, for changes of the albedo, the sheen and the difference ρ̄ t between
@@ -397,13 +388,11 @@ fn agreement(residual: Vec3, predicted: Vec3) -> f32 {
     (1.0 + (relative / TOLERATED).powi(2)).recip()
 }
 
-/// Weight against a change of the albedo, in pixels that show the texel straight on and say that
-/// nothing changes.
+/// Weight against a change of the albedo, in pixels that show the texel straight on and say that nothing changes.
 const STILL_ALBEDO: f32 = 0.1;
 /// Weight against a change of the sheen, likewise.
 const STILL_SHEEN: f32 = 0.5;
-/// Weight against a change of the sheen, as a part of all evidence: an albedo along the surface
-/// that is hardly seen stays.
+/// Weight against a change of the sheen, as a part of all evidence: an albedo along the surface that is hardly seen stays.
 const STILL_PART: f32 = 0.01;
 
 /// Least part of the mean of the channels that a channel of the light counts with.
@@ -440,8 +429,7 @@ pub struct TexelEquations {
 }
 
 impl TexelEquations {
-    /// Adds a pixel of this weight: diffuse radiance `unit` of a white surface, g = `along`, v⊥ = `side`, and observed minus predicted
-    /// radiance.
+    /// Adds a pixel of this weight: diffuse radiance `unit` of a white surface, g = `along`, v⊥ = `side`, and observed minus predicted radiance.
     #[inline]
     fn add(&mut self, unit: Vec3, along: f32, side: Vec3, residual: Vec3, weight: f32) {
         let gray = unit.element_sum() / 3.0;
@@ -464,8 +452,7 @@ impl TexelEquations {
         (0..3).for_each(|c| self.side_changes[c] += sided * change[c]);
     }
 
-    /// The changes that explain most of the residuals. Without `sheen` it stays; so does the tilt without the mean albedo and the tilt
-    /// `before`.
+    /// The changes that explain most of the residuals. Without `sheen` it stays; so does the tilt without the mean albedo and the tilt `before`.
     fn solve(&self, sheen: bool, before: Option<(Vec3, Vec3)>) -> TexelChange {
         let one = self.one_along[0] / self.seen;
         if one.is_nan() || one <= 0.0 {
@@ -559,10 +546,8 @@ mod tests {
                 assert!((share(&pixel, texel) - share(&again, texel)).abs() < 1e-4, "{uv} {texel}");
             }
             assert!((pixel.facing - again.facing).abs() < 1e-3 && pixel.side.abs_diff_eq(again.side, 1e-3));
-            assert_eq!(
-                (pixel.unit, pixel.specular, pixel.observed),
-                (again.unit, again.specular, again.observed)
-            );
+            let parts = |of: &ShadedPixel| (of.unit, of.specular, of.observed);
+            assert_eq!(parts(&pixel), parts(&again));
         }
     }
 

@@ -94,8 +94,7 @@ pub(crate) fn measure(
     let object = traced(world, shadowed);
     let known = Known { form, specular: *specular, unknowns, object, in_part: true, placement: None };
     let merged = MergedLobes::new(&LobeColumns::from_lobes(lobes.iter().map(Into::into)), MOST_LOBES);
-    let evidence =
-        with_initialization(world, known, |problem| gather_evidence(problem, &lobes, &merged, &texels));
+    let evidence = with_initialization(world, known, |of| gather_evidence(of, &lobes, &merged, &texels));
     let shares = power_shares(&lobes, &merged);
     Ok(evidence?.and_then(|evidence| determined(&evidence, &shares, unknowns)))
 }
@@ -155,9 +154,8 @@ fn determined(evidence: &Evidence, shares: &[f64], unknowns: Unknowns) -> Option
     // With what is usual beside it; of nothing known it is 1.
     let reported = |direction: &[f64]| (OPTIMISM * posterior.deviation(direction)).min(1.0);
     let of_light = |weight: &dyn Fn(usize) -> f64| {
-        let direction: Vec<f64> =
-            (0..3 * count).map(|at| weight(at / count) * shares[at]).chain([0.0; 2]).collect();
-        reported(&direction)
+        let direction = (0..3 * count).map(|at| weight(at / count) * shares[at]).chain([0.0; 2]);
+        reported(&direction.collect::<Vec<f64>>())
     };
     let unit = |at: usize| -> Vec<f64> { (0..3 * count + 2).map(|i| f64::from(u8::from(i == at))).collect() };
     let color = |channel: usize| of_light(&|c| f64::from(u8::from(c == channel)) - 1.0 / 3.0);
@@ -450,8 +448,7 @@ impl Posterior {
         let mut solved = free(&with_shared(direction, self.lobes));
         solve_factored(&self.factor, &mut solved);
         let solved = free(&solved);
-        let score =
-            |gradient: &Vec<f64>| gradient.iter().zip(&solved).map(|(g, s)| g * s).sum::<f64>().powi(2);
+        let score = |by: &Vec<f64>| by.iter().zip(&solved).map(|(g, s)| g * s).sum::<f64>().powi(2);
         let data: f64 = self.gradients.iter().map(score).sum();
         let prior: f64 = solved.iter().map(|s| (self.variance * s).powi(2)).sum();
         let clusters = self.gradients.len() as f64;
@@ -481,16 +478,10 @@ mod tests {
     #[test]
     fn words_leave_out_what_is_given() {
         assert_eq!(Determined::default().words(), None);
-        let light = Determined {
-            color: Some(0.044),
-            brightness: Some(0.51),
-            lobes: Some(50.7),
-            ..Determined::default()
-        };
-        assert_eq!(
-            light.words().unwrap(),
-            "color of the light to 4 %, its brightness not at all, 51 lobes of it"
-        );
+        let (color, brightness, lobes) = (Some(0.044), Some(0.51), Some(50.7));
+        let light = Determined { color, brightness, lobes, ..Determined::default() };
+        let words = "color of the light to 4 %, its brightness not at all, 51 lobes of it";
+        assert_eq!(light.words().as_deref(), Some(words));
     }
 
     #[test]
@@ -527,11 +518,8 @@ mod tests {
         let point =
             ShadePoint { normal: [0.0, 0.0, 1.0], to_viewer: [0.6, 0.0, 0.8], albedo: [0.4, 0.3, 0.2] };
         let specular = SpecularValue { albedo: [0.1; 3], roughness: 0.4, ndf: Ndf::Sg };
-        let lobe = |x: f32, sharpness| Lobe {
-            axis: [x, 0.0, (1.0 - x * x).sqrt()],
-            sharpness,
-            amplitude: [1.0, 2.0, 3.0],
-        };
+        let amplitude = [1.0, 2.0, 3.0];
+        let lobe = |x: f32, sharpness| Lobe { axis: [x, 0.0, (1.0 - x * x).sqrt()], sharpness, amplitude };
         let columns =
             LobeColumns::from_lobes([lobe(-0.5, 10.0), lobe(0.3, 2.0), lobe(0.9, 40.0)].into_iter());
         let form = ClosedForm::default();

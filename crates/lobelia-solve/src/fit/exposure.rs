@@ -329,10 +329,8 @@ mod tests {
         blueless.decide();
         assert_eq!(blueless.used, ExposureChoice::Brightness);
         blueless.solve();
-        assert!(
-            (blueless.factor(ViewIndex(0)) / blueless.factor(ViewIndex(1)))
-                .abs_diff_eq(Vec3::splat(1.3), 0.01)
-        );
+        let ratio = blueless.factor(ViewIndex(0)) / blueless.factor(ViewIndex(1));
+        assert!(ratio.abs_diff_eq(Vec3::splat(1.3), 0.01));
         // Noise in the dark is no color.
         let noise = |view: usize| Vec3::new(1.0, 1.0, if view.is_multiple_of(2) { 1.4 } else { 0.7 });
         let mut dark = after([0.4, 0.2, 0.004], noise);

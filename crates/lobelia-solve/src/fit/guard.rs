@@ -1,16 +1,9 @@
 //! Guards against steps that are not finite: a step whose loss or gradient is not finite is traced to its pixel and parameter, and not taken.
 //!
-//! | system | stage | does |
-//! | --- | --- | --- |
-//! | [`check_shading`] | Loss, first | looks at radiance and photographs |
-//! | [`check_loss`] | Loss, after the comparison | looks at the loss and its adjoint |
-//! | [`check_adjoints`] | Gradient, after `Slot::ShadingAdjoint` | looks at the adjoints of points, light and materials |
-//!
 //! Shapes, vertices and cameras look at their own gradients, with `is_usable`, and tell the [`StepGuard`].
 //!
-//! Values that are not finite are set to zero, so that nothing that is kept from step to step takes
-//! them up; `step_is_sound` then holds Update back, and Gradient too if they are found in Loss. If
-//! they are found in Gradient, the rest of that stage runs on zeros.
+//! Values that are not finite are set to zero, so that nothing that is kept from step to step takes them up; `step_is_sound` then holds Update
+//! back, and Gradient too if they are found in Loss. If they are found in Gradient, the rest of that stage runs on zeros.
 
 use crate::fit::components::{AlbedoGradient, LossState, StepGradient};
 use crate::fit::observe::main_texel;

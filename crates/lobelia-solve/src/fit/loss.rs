@@ -58,8 +58,7 @@ pub(crate) fn radiance(layers: &Layers) -> Vec3 {
     Vec3::from(layers.diffuse) + Vec3::from(layers.specular)
 }
 
-/// Writes the adjoint of the mean loss over these pixels and returns their sums. `exposure` are the exposure
-/// factors of a pixel's photograph.
+/// Writes the adjoint of the mean loss over these pixels and returns their sums. `exposure` are the exposure factors of a pixel's photograph.
 pub fn image_loss(
     loss: Loss,
     shaded: &[Layers],

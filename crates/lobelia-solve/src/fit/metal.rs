@@ -3,10 +3,6 @@
 //! Metal reflects at its surface, in a color of its own, and has no diffuse light beneath; a dielectric such as paint, wood or glaze reflects a few
 //! percent of the light there, gray. A fit that does not know this shows gold as silver under a golden light, over a diffuse layer that holds
 //! what its reflections do not explain: the photographs look the same, and no other light does.
-//!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`bound_diffuse_albedo`] | Update, `Slot::Optimizer`, after all others | `SpecularBlend`, `SpecularLobe` | `DiffuseAlbedo`, `DiffuseSheen` |
 
 use crate::fit::components::{StepRates, Unknowns};
 use crate::fit::roughness::TexelPlaces;

@@ -39,15 +39,13 @@ const TRACED_AT_ONCE: usize = 1 << 16;
 
 /// The training views in order, each with the number of its usable foreground pixels.
 pub(super) fn usable_by_view(world: &mut World) -> Vec<(ViewIndex, usize)> {
-    let mut views = world.query::<ViewColumns>();
-    let training = training_views(views.iter(world));
+    let training = training_views(world);
     training.par_iter().map(|view| (view.index, view.usable().count())).collect()
 }
 
 /// Every n-th usable foreground pixel of a training view, row by row.
 pub(super) fn usable_pixels(world: &mut World, of: ViewIndex, every: usize) -> Vec<PixelOf> {
-    let mut views = world.query::<ViewColumns>();
-    let training = training_views(views.iter(world));
+    let training = training_views(world);
     let chosen = training.iter().filter(|view| view.index == of);
     chosen.flat_map(|view| view.usable().step_by(every)).collect()
 }
@@ -57,13 +55,12 @@ pub(super) fn usable_pixels(world: &mut World, of: ViewIndex, every: usize) -> V
 /// # Errors
 /// If there is no pixel to fit to.
 pub(super) fn make_pool(pipeline: &mut Pipeline) -> Result<usize> {
-    if pool_holds(&mut pipeline.world) {
-        // A part of a fit begins with texels that nobody has seen.
-        let counted = pipeline.world.run_system_once(count_seen);
-        counted.map_err(|error| Error::run("fit", error.to_string()))??;
-    } else {
+    if !pool_holds(&mut pipeline.world) {
         pipeline.run(Phase::Prepare)?;
     }
+    // A part of a fit begins with texels that nobody has seen.
+    let counted = pipeline.world.run_system_once(count_seen_texels);
+    counted.map_err(|error| Error::run("fit", error.to_string()))??;
     Ok(pipeline.world.resource::<ObservedWindow>().0.len())
 }
 
@@ -115,9 +112,8 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
     // In parts: all points beside the pool would be half of it.
     for part in chosen.chunks(TRACED_AT_ONCE) {
         check_interrupted()?;
-        let mut views = world.query::<ViewColumns>();
-        let training = training_views(views.iter(world));
-        let training: ByView<ObservedView> = training.into_iter().map(|view| (view.index, view)).collect();
+        let training: ByView<ObservedView> =
+            training_views(world).into_iter().map(|view| (view.index, view)).collect();
         let observe = |pixel: &PixelOf| -> Result<Option<(Observation, ObservedGradient)>> {
             let (Some(point), view) = (trace(pixel)?, training.of(pixel.view)?) else { return Ok(None) };
             let gradient = if gradients { view.gradient(pixel.pixel as usize) } else { ImageGradient(None) };
@@ -221,12 +217,8 @@ pub fn take_gradients(
     Ok(())
 }
 
-/// Gather: sums the weights of each texel over all observed pixels.
-pub fn count_seen_texels(observations: Observations, texels: Texels<&mut TexelSeen>) -> SystemResult {
-    Ok(count_seen(observations, texels)?)
-}
-
-fn count_seen(observations: Observations, texels: Texels<&mut TexelSeen>) -> Result<()> {
+/// Sums the weights of each texel over all observed pixels.
+fn count_seen_texels(observations: Observations, texels: Texels<&mut TexelSeen>) -> Result<()> {
     let observations = observations.columns()?;
     let mut seen = texels.columns()?.quiet();
     seen.fill(TexelSeen(0.0));
@@ -254,7 +246,7 @@ pub struct PixelChoice {
 pub struct GradientsNeeded;
 
 /// A training view with a photograph.
-pub(super) struct ObservedView<'a> {
+struct ObservedView<'a> {
     pub index: ViewIndex,
     pub camera: &'a Camera,
     pub photograph: &'a Photograph,
@@ -263,25 +255,20 @@ pub(super) struct ObservedView<'a> {
     pub limit: f32,
 }
 
-/// The columns of a view with a photograph.
-pub(super) type ViewColumns =
-    (&'static ViewIndex, &'static Camera, &'static Photograph, Option<&'static ViewMask>, &'static Split);
-
-/// A row of [`ViewColumns`].
-type ViewRow<'a> = (&'a ViewIndex, &'a Camera, &'a Photograph, Option<&'a ViewMask>, &'a Split);
-
-/// The training views among these, in the order of their indices.
-pub(super) fn training_views<'a>(views: impl Iterator<Item = ViewRow<'a>>) -> Vec<ObservedView<'a>> {
-    let training: Vec<ViewRow<'a>> = views.filter(|(.., split)| **split == Split::Train).collect();
-    let limit = glare_limit(training.iter().map(|(_, _, photograph, ..)| photograph.highest()));
-    let observed = |(index, camera, photograph, mask, _): ViewRow<'a>| ObservedView {
+/// The training views with a photograph, in the order of their indices.
+fn training_views(world: &mut World) -> Vec<ObservedView<'_>> {
+    let mut views = world.query::<(&ViewIndex, &Camera, &Photograph, Option<&ViewMask>, &Split)>();
+    let training = views.iter(world).filter(|(.., split)| **split == Split::Train);
+    let observed = training.map(|(index, camera, photograph, mask, _)| ObservedView {
         index: *index,
         camera,
         photograph,
         mask: mask.map(|mask| &mask.0),
-        limit,
-    };
-    let mut training: Vec<_> = training.into_iter().map(observed).collect();
+        limit: f32::INFINITY,
+    });
+    let mut training: Vec<ObservedView> = observed.collect();
+    let limit = glare_limit(training.iter().map(|view| view.photograph.highest()));
+    training.iter_mut().for_each(|view| view.limit = limit);
     training.sort_by_key(|view| view.index);
     training
 }
@@ -337,8 +324,7 @@ fn choose_pixels(world: &mut World, choice: PixelChoice) -> Result<Vec<PixelOf>>
     // Steps visit groups of photographs one at a time.
     let has_groups = world.get_resource::<Placements>().is_some_and(Placements::has_groups);
     let groups = has_groups.then(|| groups_of_views(world));
-    let mut views = world.query::<ViewColumns>();
-    let training = training_views(views.iter(world));
+    let training = training_views(world);
     let mut chosen = scattered(&training, choice).map_or_else(|| any_of_all(&training, choice), Ok)?;
     if let Some(groups) = groups {
         chosen.sort_by_key(|pixel| groups.get(pixel.view).copied());
@@ -475,13 +461,8 @@ mod tests {
             assert!(!kept[3]);
         }
         // The first ones of a texel.
-        assert_eq!(
-            kept_evenly(&texels, 3),
-            [0, 2, 7].iter().fold(vec![false; 11], |mut kept, at| {
-                kept[*at] = true;
-                kept
-            })
-        );
+        let kept = kept_evenly(&texels, 3);
+        assert!((0..11).filter(|at| kept[*at]).eq([0, 2, 7]));
         assert!(kept_evenly(&[], 5).is_empty());
     }
 
@@ -539,7 +520,6 @@ mod tests {
         world.spawn((TexelIndex(0), TexelSeen(0.0)));
         world.init_resource::<ObservedWindow>();
         pipeline.add_systems(Phase::Prepare, Stage::Trace, trace_pixels);
-        pipeline.add_systems(Phase::Prepare, Stage::Gather, count_seen_texels);
         assert_eq!(make_pool(&mut pipeline).unwrap(), 10);
         let seen = |world: &mut World| world.query::<&TexelSeen>().single(world).map(|seen| seen.0).unwrap();
         assert_eq!(seen(&mut pipeline.world), 10.0);
@@ -626,16 +606,8 @@ mod tests {
         // The mean of three channels is (x + y) / 3600, as half floats.
         let found = at(800, 500).unwrap();
         assert!((found * 3600.0 - Vec2::ONE).abs().max_element() < 0.3, "{found}");
-        assert_eq!(
-            [at(601, 500).is_some(), at(600, 500).is_some()],
-            [true, false],
-            "beside saturated pixels"
-        );
+        assert!(at(601, 500).is_some() && at(600, 500).is_none(), "beside saturated pixels");
         let edge = (0..SIDE).rfind(|x| all.2.coverage((500 * SIDE + x) as usize) > 0.0).unwrap();
-        assert_eq!(
-            [at(edge - 1, 500).is_some(), at(edge, 500).is_some()],
-            [true, false],
-            "at the edge of the mask"
-        );
+        assert!(at(edge - 1, 500).is_some() && at(edge, 500).is_none(), "at the edge of the mask");
     }
 }

@@ -1,10 +1,5 @@
 //! Rotations of the object's [placements](lobelia_world::light::placement) as unknowns: those that were found move with the rest of a fit.
 //!
-//! | system | stage | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`sum_turns`] | Gradient | points, radiance, photographs, light, materials | [`TurnSums`]: normal equations |
-//! | [`turn_placements`] | Update | normal equations | [`Placements`] |
-//!
 //! A small rotation of the object in the room is one of all normals and views of its placement in the light's frame. Derivatives of the radiance are
 //! central differences, with shadows as they are; those are found anew later. Residuals have
 //! weights that minimize the sum of absolute differences.

@@ -1,5 +1,4 @@
-//! Priors on albedo and normals from elsewhere: maps of the photographs ([`AlbedoMap`],
-//! [`NormalMap`]).
+//! Priors on albedo and normals from elsewhere: maps of the photographs ([`AlbedoMap`], [`NormalMap`]).
 //!
 //! Light and albedo explain each other: photographs determine their product far better than either. A map of the albedo tells them apart, if
 //! its errors are smaller than those that the light would make. A fit begins from the maps' mean on each texel (`fuse`) with the light that
@@ -7,23 +6,18 @@
 //! a network does, holding the texels to them by a term in the loss as well made every score worse.)
 //!
 //! Normals pull a surface that moves: the loss of a pixel is the weight times Huber's function of n − n′, with the normal n and that of the map n′.
-//!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`pull_to_normal_maps`] | Gradient, after `Slot::ShadingAdjoint` and before what sums its adjoints | [`NormalWeight`], `NormalMap`, `SurfacePoint` | `PointAdjoint` |
 
 use crate::fit::guard::{check_adjoints, step_is_sound};
 use crate::fit::{components::TexelSeen, scale::ScaleRule};
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, Resource, World};
-use bevy_ecs::system::SystemState;
+use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, Resource, With, World};
 use glam::{DVec3, Vec3};
+use lobelia_geometry::Result;
 use lobelia_geometry::view::{AlbedoMap, ByView, NormalMap, PriorMap, ViewIndex};
-use lobelia_geometry::{Error, Result};
 use lobelia_sg::{ray::TexelAddress, shading::PointAdjoint};
 use lobelia_world::material::{TexelIndex, USUAL_ALBEDO, sheen::write_albedo};
 use lobelia_world::pipeline::pool::read_column;
 use lobelia_world::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage, SystemResult};
-use lobelia_world::sample::{Observations, Samples, pixel::PixelOf, point::SurfacePoint};
+use lobelia_world::sample::{Observation, ObservationIndex, Samples, pixel::PixelOf, point::SurfacePoint};
 
 /// Rounds of the mean on each texel and the factor of each map.
 const ROUNDS: usize = 4;
@@ -130,7 +124,7 @@ fn texel_means(pixels: &[MapPixel], factors: &[f32], texels: usize) -> Vec<Vec3>
 /// and albedo (but with metals, of which maps show a color of another meaning). One that `begins` them anew begins from the maps: its texels
 /// have their albedo at a usual level. Returns whether there are maps.
 pub(super) fn follow_maps(world: &mut World, metal: bool, begins: bool) -> Result<bool> {
-    let pixels = map_pixels(world)?;
+    let pixels = map_pixels(world);
     if pixels.is_empty() {
         return Ok(false);
     }
@@ -161,21 +155,19 @@ fn usual_mean(shown: &[Vec3]) -> (Vec3, f32) {
 }
 
 /// The observed pixels of which a map says something.
-fn map_pixels(world: &mut World) -> Result<Vec<MapPixel>> {
-    type Inputs<'w, 's> = (Observations<'w, 's>, Query<'w, 's, (&'static ViewIndex, &'static AlbedoMap)>);
+fn map_pixels(world: &mut World) -> Vec<MapPixel> {
     if !AlbedoMap::are_in(world) {
-        return Ok(Vec::new());
+        return Vec::new();
     }
-    let mut state = SystemState::<Inputs>::new(world);
-    let (observations, views) = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?;
-    let maps: ByView<&PriorMap> = views.iter().map(|(view, map)| (*view, &map.0)).collect();
-    let observations = observations.columns()?;
-    let shown = observations.iter().filter_map(|observation| {
+    let mut views = world.query::<(&ViewIndex, &AlbedoMap)>();
+    let mut observations = world.query_filtered::<&Observation, With<ObservationIndex>>();
+    let maps: ByView<&PriorMap> = views.iter(world).map(|(view, map)| (*view, &map.0)).collect();
+    let shown = observations.iter(world).filter_map(|observation| {
         let (view, pixel) = (observation.pixel.view, observation.pixel.pixel as usize);
         let value = maps.get(view)?.at(pixel)?;
         Some(MapPixel { view, texels: observation.point.texels, value })
     });
-    Ok(shown.collect())
+    shown.collect()
 }
 
 #[cfg(test)]

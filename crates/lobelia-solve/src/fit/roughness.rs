@@ -4,19 +4,8 @@
 //! mirror a bright light, so logits move together: the gradient is averaged over a lattice around the surface whose cells shrink
 //! during the fit, so that regions get sharp boundaries where the photographs show them. With one base material these systems have no effect.
 //!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`pull_back_radiance`](crate::fit::systems::pull_back_radiance) | `Slot::ShadingAdjoint` | samples, base materials | adjoints of samples, light, materials, blends |
-//! | [`scatter_to_blends`] | Gradient | [`StepGradient`], texel addresses | [`BlendGradient`] |
-//! | [`move_blends`] | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`] | `SpecularBlend` |
-//!
 //! Or each texel has a roughness of its own, and a factor on the specular albedo, with a smoothness prior: it blends the two nearest of several
 //! base materials of fixed roughness, so that shading does not depend on it. The systems replace [`move_blends`] and use the same lattice.
-//!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | `tie_specular` | Update, `Slot::Optimizer` | | `StepGradient`: one albedo for all base materials |
-//! | `move_roughness` | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`], [`RoughnessPrior`], `DiffuseAlbedo` | [`TexelRoughness`], `SpecularBlend` |
 
 use crate::fit::components::{AdamStep, Bounded, Moments, StepGradient, StepRates, Unknowns};
 use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
@@ -457,12 +446,8 @@ mod tests {
 
     #[test]
     fn the_gradient_of_variation_agrees_with_differences() {
-        let prior = RoughnessPrior {
-            smoothness: 2.0,
-            color_width: 0.1,
-            varied_specular: true,
-            neighbors: vec![[0, 1], [1, 2]],
-        };
+        let neighbors = vec![[0, 1], [1, 2]];
+        let prior = RoughnessPrior { smoothness: 2.0, color_width: 0.1, varied_specular: true, neighbors };
         let roughness = [(0.2, 0.5), (0.21, 0.52), (0.4, 0.9)]
             .map(|(roughness, share)| TexelRoughness { roughness, share });
         let albedo = [Vec3::new(0.5, 0.4, 0.3), Vec3::new(0.5, 0.45, 0.3), Vec3::new(0.3, 0.4, 0.6)]

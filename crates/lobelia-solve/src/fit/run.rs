@@ -16,7 +16,7 @@ use crate::fit::guard::{
 };
 use crate::fit::loss::{Loss, LossSums, ViewSums, count_pool, sum_by_view};
 use crate::fit::observe::{
-    PixelChoice, count_seen_texels, make_pool, release_pool, spawn_samples, take_observations, trace_pixels,
+    PixelChoice, make_pool, release_pool, spawn_samples, take_observations, trace_pixels,
 };
 use crate::fit::placements::{PlacementPlugin, TurnSums, find_placements, placements_turn};
 use crate::fit::roughness::{
@@ -219,11 +219,7 @@ impl Plugin for FitPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         OWN_RESOURCES.iter().for_each(|own| own(&mut pipeline.world, true));
         add_material_resources::<RecoveredMaterial>(&mut pipeline.world);
-        pipeline.add_systems(Phase::Prepare, Stage::Trace, trace_pixels).add_systems(
-            Phase::Prepare,
-            Stage::Gather,
-            count_seen_texels,
-        );
+        pipeline.add_systems(Phase::Prepare, Stage::Trace, trace_pixels);
         let loss = (
             check_shading,
             find_exposures.run_if(step_is_sound),
@@ -571,13 +567,8 @@ mod tests {
 
     #[test]
     fn rates_fall_at_the_milestones() {
-        let options = FitOptions {
-            steps: 10,
-            milestones: vec![0.3, 0.8],
-            decay: 0.5,
-            rates: [1.0, 2.0, 4.0],
-            ..Default::default()
-        };
+        let (milestones, rates) = (vec![0.3, 0.8], [1.0, 2.0, 4.0]);
+        let options = FitOptions { steps: 10, milestones, decay: 0.5, rates, ..Default::default() };
         let lights: Vec<f32> = (1..=10).map(|step| options.rates_at(step, step).light).collect();
         assert_eq!(lights, [2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.5]);
     }

@@ -9,10 +9,6 @@
 //!
 //! Metal ([`metal`](crate::fit::metal)) is colored itself, and its specular albedo is divided by the factor too. Its reflections then say nothing
 //! of the factor. What is not metal still has gray highlights; as far as all is metal, the light is taken to be nearly white, and the metal as bright as metals are.
-//!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`move_scale`] | Update, `Slot::Optimizer`, before the others | `Layers` and `PointBlend` of the window, `RadianceAdjoint`, [`ScaleRule`] | `LightLobe`, `DiffuseAlbedo`, `DiffuseSheen`, `SpecularLobe` of metal, [`ScaleMoments`] |
 
 use crate::fit::components::{AdamStep, Moments, StepRates, TexelSeen, Unknowns};
 use crate::fit::metal::{Metals, metalness};

@@ -3,17 +3,10 @@
 //! The albedo toward a viewer blends both by c = n·v ([`lobelia_world::material::sheen`]), so that the adjoint of a sample's albedo is
 //! shared between them by c and 1 − c. A texel that is seen from few angles keeps its sheen near zero.
 //!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`scatter_to_sheen`] | Gradient, `ScatterAdjoints` | samples, [`KnownAlong`] | [`SheenGradient`], `AlbedoGradient` |
-//! | [`move_sheen`] | Update, `Slot::Optimizer`, instead of `move_texels` | [`SheenGradient`], `AlbedoGradient` | `DiffuseSheen`, `DiffuseAlbedo` |
-//! | [`follow_known`] | Update, after `Slot::Optimizer` | [`KnownAlong`], `DiffuseAlbedo` | `DiffuseSheen` |
-//!
-//! Whether the surface has a sheen is decided by the photographs: a richer material is let in only if it predicts views that it was not
-//! fitted to. A fit without sheen leaves residuals r at observed pixels. In each cell of a lattice over the surface they are explained by a
-//! changed albedo, r = a u, or also by a sheen, r = (a + s (1 − c)) u, where u is the diffuse radiance per unit of albedo. Both are
-//! solved from half of the views and judged on the other half. All of that needs only sums, which the steps of a part of the fit
-//! collect.
+//! Whether the surface has a sheen is decided by the photographs: a richer material is let in only if it predicts views that it was not fitted
+//! to. A fit without sheen leaves residuals r at observed pixels. In each cell of a lattice over the surface they are explained by a changed
+//! albedo, r = a u, or also by a sheen, r = (a + s (1 − c)) u, where u is the diffuse radiance per unit of albedo. Both are solved from half of
+//! the views and judged on the other half. All of that needs only sums, which the steps of a part of the fit collect.
 
 use crate::fit::components::{AdamStep, AlbedoGradient, AlbedoMoments, Moments, StepRates, Unknowns};
 use crate::fit::{exposure::Exposures, loss::radiance, systems::moved_color};

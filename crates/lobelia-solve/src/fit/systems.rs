@@ -232,9 +232,8 @@ fn pull_back_blended(
 ) {
     gradient.blends.clear();
     gradient.blends.resize(samples.points.len(), PerMaterial::default());
-    let rows = lighting.visibility.map_or(&[][..], |v| v.lobes);
-    let lighting =
-        Lighting { visibility: Some(LobeVisibility { lobes: rows, points: samples.seen }), ..lighting };
+    let lobes = lighting.visibility.map_or(&[][..], |v| v.lobes);
+    let lighting = Lighting { visibility: Some(LobeVisibility { lobes, points: samples.seen }), ..lighting };
     let out = back.par_chunks_mut(CHUNK).zip(gradient.blends.par_chunks_mut(CHUNK)).enumerate();
     let chunks: Vec<BlendedSums> =
         out.map(|(chunk, out)| pull_back_chunk(form, samples, chunk, materials, lighting, out)).collect();

@@ -17,8 +17,7 @@ use rayon::prelude::*;
 /// cone that the masks leave.
 const ONE_VIEW: f32 = 0.5;
 const TWO_VIEWS: f32 = 0.2;
-/// Rays of a view per cell, along each axis; cells, and most pixels, within the outline of a mask from which a pixel must not lose its
-/// surface.
+/// Rays of a view per cell, along each axis; cells, and most pixels, within the outline of a mask from which a pixel must not lose its surface.
 const RAYS_PER_CELL: f32 = 2.0;
 const DEPTH: f32 = 1.0;
 const MOST_DEPTH: f32 = 12.0;

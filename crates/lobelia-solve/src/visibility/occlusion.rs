@@ -172,8 +172,7 @@ pub(crate) fn light_rows(visibility: &TexelVisibility, sky: &Sky, parts: &mut Ve
     direct
 }
 
-/// Directions of some rows that other parts of the surface hide, and the light on the rows so far;
-/// memory that is used again.
+/// Directions of some rows that other parts of the surface hide, and the light on the rows so far; memory that is used again.
 #[derive(Default)]
 pub(crate) struct Behind {
     /// The hidden directions of the rows, one row after another: their numbers, and the cosines with the normal times a cell's solid angle.

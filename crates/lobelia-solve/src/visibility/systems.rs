@@ -39,8 +39,7 @@ impl Plugin for FrameVisibilityPlugin {
     }
 }
 
-/// Shadows and interreflection of the recovered material in the FitStep phase, updated if [`RefreshDue`] is set; needs an
-/// [`ObjectVisibility`].
+/// Shadows and interreflection of the recovered material in the FitStep phase, updated if [`RefreshDue`] is set; needs an [`ObjectVisibility`].
 pub struct FitVisibilityPlugin;
 
 impl Plugin for FitVisibilityPlugin {

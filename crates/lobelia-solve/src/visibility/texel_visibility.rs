@@ -1,8 +1,7 @@
 //! Tracing of the directions of each texel that other parts of the surface occlude.
 //!
-//! Rays are cast from every covered texel into the hemisphere above it, along a set of near-uniform directions that is common to all
-//! texels. A row stores one bit per direction, and for each occluded direction the texel that occludes it, for interreflection
-//! ([`crate::visibility`]).
+//! Rays are cast from every covered texel into the hemisphere above it, along a set of near-uniform directions that is common to all texels. A
+//! row stores one bit per direction, and for each occluded direction the texel that occludes it, for interreflection ([`crate::visibility`]).
 //!
 //! A fine texture has more texels than shadows need. Then the texels of a square of k × k in texture space share one row, k the smallest
 //! that leaves at most the wanted number of rows. A square across the border of two charts falls into one patch for each: texels share a
@@ -217,8 +216,7 @@ pub(super) fn cluster(directions: &mut [Vec3]) {
     cluster(second);
 }
 
-/// The row of each texel, about `most_rows` or fewer, and the texel of each row that stands for it: the one nearest to the middle of the
-/// square.
+/// The row of each texel, about `most_rows` or fewer, and the texel of each row that stands for it: the one nearest to the middle of the square.
 fn patches(atlas: &TexelAtlas, most_rows: usize) -> (Vec<u32>, Vec<u32>) {
     let has_shadows = |t: &usize| atlas.covered[*t] && atlas.normal[*t] != Vec3::ZERO;
     let count = (0..atlas.covered.len()).filter(has_shadows).count();

@@ -149,8 +149,7 @@ impl<'a> Search<'a> {
         rows.flat_map(move |y| columns.clone().map(move |x| y * width + x))
     }
 
-    /// Hands out how much the best of the views around differ in each pixel's patch, if the surface is moved along the rays by `shift`
-    /// pixels.
+    /// Hands out how much the best of the views around differ in each pixel's patch, if the surface is moved along the rays by `shift` pixels.
     fn differences(&mut self, shift: f32, mut found: impl FnMut(usize, f32)) {
         self.warp(shift);
         for &at in &self.asked {

@@ -1,14 +1,11 @@
-//! Evidence of the photographs about space inside the hull: whether they look through it, and how
-//! much better that explains them.
+//! Evidence of the photographs about space inside the hull: whether they look through it, and how much better that explains them.
 //!
-//! A field of densities also explains reflections in a surface by something dense behind it, as if
-//! one looked through the surface. It does so badly: a reflection moves otherwise than anything
-//! that stands still behind a window. So two models compete for each pixel. One is opaque at the
-//! surface, with a color that all photographs share; the other is the field. Their squared errors
-//! are summed over all rays that pass a vertex before they are stopped, and over all vertices of a
-//! connected space. A deep hollow leaves the field 1 to 3 % of the error of its lid; reflections in
-//! paint or metal leave 10 to 25 %. Between them is the excess of a hull beside a glossy surface:
-//! there the field is dense too deep, and would eat into the object.
+//! A field of densities also explains reflections in a surface by something dense behind it, as if one looked through the surface. It does so
+//! badly: a reflection moves otherwise than anything that stands still behind a window. So two models compete for each pixel. One is opaque at
+//! the surface, with a color that all photographs share; the other is the field. Their squared errors are summed over all rays that pass a
+//! vertex before they are stopped, and over all vertices of a connected space. A deep hollow leaves the field 1 to 3 % of the error of its lid;
+//! reflections in paint or metal leave 10 to 25 %. Between them is the excess of a hull beside a glossy surface: there the field is dense too
+//! deep, and would eat into the object.
 
 use super::radiance_field::{FieldRay, RadianceField, depth, march};
 use crate::shape::{cube, flood, neighbors, pictures::ColorPicture, size};

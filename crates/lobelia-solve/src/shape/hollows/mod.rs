@@ -1,13 +1,12 @@
 //! Hollows that no silhouette shows: removes from the hull what photographs look through.
 //!
-//! The hull closes a cup with a lid. What is seen through the lid moves against it from view to view, so that photographs disagree on
-//! the lid's color, and agree far behind it. Each view is compared with those around it ([`mod@compare`]) at all depths from the surface to
-//! the far side. Where they agree much better at one of these than at the surface, the space in front of it is empty. All views vote, and
-//! what enough of them see through is removed; the next round knows better what hides what.
-//! A deep hollow has places that no two photographs around share, or whose colors change slowly. So all photographs together are asked
-//! first: a field of densities and colors ([`radiance_field`]) is fitted to them by volume rendering, and a space is empty where that
-//! explains them far better than the surface does ([`evidence`]).
-//! The hull is coarse: what its cells do not resolve is looked for once more on the finer grid of the second level.
+//! The hull closes a cup with a lid. What is seen through the lid moves against it from view to view, so that photographs disagree on the lid's
+//! color, and agree far behind it. Each view is compared with those around it ([`mod@compare`]) at all depths from the surface to the far side.
+//! Where they agree much better at one of these than at the surface, the space in front of it is empty. All views vote, and what enough of them
+//! see through is removed; the next round knows better what hides what. A deep hollow has places that no two photographs around share, or whose
+//! colors change slowly. So all photographs together are asked first: a field of densities and colors ([`radiance_field`]) is fitted to them by
+//! volume rendering, and a space is empty where that explains them far better than the surface does ([`evidence`]). The hull is coarse: what its
+//! cells do not resolve is looked for once more on the finer grid of the second level.
 //!
 //! Only space that is open to the outside is removed: a reflection that seems to lie far behind a glossy surface leaves no bubble inside
 //! the object. Spaces that reflections have opened all the same are filled again. A margin before the depth that was found stays: the
@@ -227,8 +226,7 @@ fn fill_reflections(grid: &mut SdfGrid, closed: &SdfGrid, views: &[Silhouette], 
     grid.redistance();
 }
 
-/// For each vertex of the grid the number of the opened space that it is in, and how many spaces there are. Vertices hang together
-/// along edges.
+/// For each vertex of the grid the number of the opened space that it is in, and how many spaces there are. Vertices hang together along edges.
 fn opened_spaces(grid: &SdfGrid, closed: &SdfGrid) -> (Vec<u32>, usize) {
     let pairs = grid.values.iter().zip(&closed.values);
     let mut open: Vec<bool> = pairs.map(|(now, before)| *now >= 0.0 && *before < 0.0).collect();

@@ -137,8 +137,7 @@ impl RadianceField {
         self.corners_of(first, t)
     }
 
-    /// Returns the rows and weights of the vertices around a point; `None` if all of them are
-    /// outside.
+    /// Returns the rows and weights of the vertices around a point; `None` if all of them are outside.
     #[inline]
     pub fn corners_inside(&self, point: Vec3) -> Option<([u32; 8], [f32; 8])> {
         let (first, t) = self.cell(point);

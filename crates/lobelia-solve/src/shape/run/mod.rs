@@ -253,8 +253,7 @@ fn keep_level(world: &mut World, index: usize, surface: &SdfSurface, error: Opti
     keep_part(world, &saved)
 }
 
-/// The level that a fit begins with, and what it starts from: the first and the hull, with gray texels, or what a run that is resumed has
-/// kept.
+/// The level that a fit begins with, and what it starts from: the first and the hull, with gray texels, or what a run that is resumed has kept.
 fn begin_levels(
     world: &mut World,
     (mut hull, empty): (SdfGrid, Option<SdfGrid>),
@@ -376,8 +375,7 @@ fn new_material(world: &mut World, albedo: &[Vec3]) -> (SpecularBlend, Vec<Diffu
     (blend, known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()]))
 }
 
-/// Removes from the found field what lies outside the hull, and moves its contours to the outlines of the training masks
-/// (`outline`).
+/// Removes from the found field what lies outside the hull, and moves its contours to the outlines of the training masks (`outline`).
 pub fn refine_by_outlines(world: &mut World, surface: &mut SdfSurface) -> OutlineReport {
     let mut silhouettes = training_silhouettes(world);
     let grid = &mut surface.grid;
