@@ -14,18 +14,13 @@
 use crate::fit::guard::{StepGuard, is_usable};
 use crate::fit::observe::{GradientsNeeded, take_gradients};
 use crate::fit::{components::StepRates, exposure::Exposures, loss::radiance};
-use bevy_ecs::prelude::{Component, Entity, Mut, Query, Res, ResMut, Resource, With, World};
-use glam::{Affine3A, Quat, Vec2, Vec3};
-use lobelia_geometry::Result;
-use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex, ViewName};
+use crate::prelude::*;
+use bevy_ecs::prelude::Mut;
+use glam::{Affine3A, Quat};
+use lobelia_geometry::view::ViewName;
 use lobelia_sg::linear::{cholesky, solve_factored};
-use lobelia_sg::{ray::Intersect, shading::Layers};
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::pixel::{ImageGradient, Observed, PixelOf, ViewRay};
-use lobelia_world::sample::point::{Scenery, SurfacePoint};
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use lobelia_sg::ray::Intersect;
+use lobelia_world::sample::pixel::ImageGradient;
 
 /// Steps between two moves of the cameras; their normal equations are summed over these.
 const MOVE_EVERY: u32 = 25;

@@ -3,10 +3,8 @@
 
 use crate::fit::loss::{Loss, LossSums};
 use crate::fit::roughness::PerMaterial;
-use bevy_ecs::prelude::{Component, Resource};
-use glam::Vec3;
+use crate::prelude::*;
 use lobelia_sg::shading::{ChunkSums, SharedGradient, SpecularAdjoint};
-use serde::{Deserialize, Serialize};
 
 /// Gradient of the loss with respect to a texel's diffuse albedo.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]

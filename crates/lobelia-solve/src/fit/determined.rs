@@ -11,19 +11,11 @@
 //! times as large (`docs/research/fit.md`), so the deviations are multiplied by it.
 
 use crate::fit::initialization::{Initialization, Known, extent, lobes_of, traced, with_initialization};
+use crate::prelude::*;
 use crate::{fit::components::Unknowns, fit::loss::radiance, shade::systems::kernel_specular};
-use bevy_ecs::prelude::World;
-use glam::Vec3;
-use lobelia_geometry::Result;
 use lobelia_sg::linear::{cholesky, solve_factored};
-use lobelia_sg::shading::{
-    ClosedForm, Lighting, LobeColumns, LobeVisibility, RESPONSE_ROWS, ShadePoint, SpecularValue,
-};
+use lobelia_sg::shading::{Lighting, LobeVisibility, RESPONSE_ROWS, SpecularValue};
 use lobelia_sg::{fibonacci::fibonacci_axes, sg::sphere_integral};
-use lobelia_world::material::{SpecularLobe, recovered_albedo, recovered_materials};
-use lobelia_world::{light::LightLobe, sample::Observation};
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use std::{collections::HashMap, f32::consts::FRAC_1_PI, ops::Range};
 
 /// Cells along the longest side of the object whose pixels have residuals that may be alike, and patches along it whose albedo has a factor.
@@ -471,9 +463,7 @@ impl Posterior {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lobelia_sg::shading::{Layers, LobeColumns};
     use lobelia_sg::{brdf::Ndf, published::Lobe};
-    use lobelia_world::{light::LightLobe, sample::point::SurfacePoint};
 
     #[test]
     fn words_leave_out_what_is_given() {

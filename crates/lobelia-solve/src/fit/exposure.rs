@@ -5,13 +5,9 @@
 //! factors of the photographs under a light is held at 1: a common factor belongs to the light.
 
 use crate::fit::components::StepRates;
-use bevy_ecs::prelude::{Res, ResMut, Resource};
-use glam::{DVec3, Vec3};
-use lobelia_geometry::view::ViewIndex;
-use lobelia_sg::{shading::Layers, statistics::quantile};
-use lobelia_world::sample::pixel::{Observed, PixelOf, SATURATION};
-use lobelia_world::{light::placement::LightGroup, pipeline::SystemResult, sample::Samples};
-use serde::{Deserialize, Serialize};
+use crate::prelude::*;
+use lobelia_sg::statistics::quantile;
+use lobelia_world::sample::pixel::SATURATION;
 
 /// Decay factor of the sums, per window.
 const MEMORY: f64 = 0.97;

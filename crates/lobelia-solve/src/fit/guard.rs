@@ -6,22 +6,13 @@
 //! back, and Gradient too if they are found in Loss. If they are found in Gradient, the rest of that stage runs on zeros.
 
 use crate::fit::components::{AlbedoGradient, LossState, StepGradient};
-use crate::fit::observe::main_texel;
-use crate::fit::roughness::BlendGradient;
-use crate::fit::{exposure::Exposures, loss::LossSums, sheen::SheenGradient};
+use crate::fit::exposure::Exposures;
+use crate::fit::{loss::LossSums, observe::main_texel, roughness::BlendGradient, sheen::SheenGradient};
+use crate::prelude::*;
 use bevy_ecs::component::Mutable;
-use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
-use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
-use lobelia_geometry::{Error, Result};
-use lobelia_sg::shading::{Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint};
-use lobelia_world::light::{LightLobe, groups::FittedLobe, lights::IncidentLight};
-use lobelia_world::material::{
-    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
-};
-use lobelia_world::pipeline::{SystemResult, pool::read_column};
-use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::{Samples, point::SurfacePoint};
-use serde::{Deserialize, Serialize};
+use lobelia_geometry::view::ViewName;
+use lobelia_sg::shading::RadianceAdjoint;
+use lobelia_world::{light::groups::FittedLobe, light::lights::IncidentLight, material::DiffuseTilt};
 
 /// Steps in a row that may be taken back; one more ends the fit.
 const MOST_IN_A_ROW: u32 = 9;

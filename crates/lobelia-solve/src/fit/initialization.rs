@@ -5,30 +5,18 @@
 //! [`fit_map`](lobelia_world::light::map_fit), with photographs in place of the map.
 
 use crate::fit::{components::Unknowns, groups::exchange_light, loss::radiance};
+use crate::prelude::*;
 use crate::shade::systems::{kernel_specular, turned};
 use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
-use bevy_ecs::prelude::{Entity, Query, With, Without, World};
-use bevy_ecs::system::SystemState;
+use bevy_ecs::{prelude::Without, system::SystemState};
 use fearless_simd::{Level, dispatch};
-use glam::{DVec3, Mat3, Vec3};
-use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
-use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_sg::brdf::Ndf;
-use lobelia_sg::shading::{
-    ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, PointVisibility, RESPONSE_ROWS, ShadePoint,
-    SpecularValue,
-};
+use lobelia_sg::shading::{Lighting, LobeVisibility, RESPONSE_ROWS, SpecularValue};
 use lobelia_sg::{color::luminance, linear::descend_nonnegative, published::Lobe, sg::sphere_integral};
-use lobelia_world::light::placement::{LightGroup, PlacedFrame};
-use lobelia_world::light::{LightLobe, groups::light_groups, lights::LobeOf};
-use lobelia_world::material::{
-    MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, USUAL_ALBEDO, recovered_albedo, recovered_materials,
-    sheen::write_albedo,
-};
-use lobelia_world::sample::{Observation, Observations, light_rotations, point::SurfacePoint};
-use rayon::prelude::*;
+use lobelia_world::light::{groups::light_groups, lights::LobeOf, placement::PlacedFrame};
+use lobelia_world::material::{MAX_SPECULAR_LOBES, sheen::write_albedo};
+use lobelia_world::sample::{Observations, light_rotations};
 use std::{borrow::Cow, f32::consts::FRAC_1_PI, ops::Range};
-use tracing::info_span;
 
 /// Most pixels in a solve for the amplitudes.
 const AMPLITUDE_PIXELS: usize = 6144;
@@ -566,8 +554,6 @@ mod tests {
     use super::*;
     use lobelia_sg::fibonacci::{fibonacci_axes, spacing_sharpness};
     use lobelia_sg::ray::TexelAddress;
-    use lobelia_world::sample::pixel::{Observed, PixelOf};
-    use lobelia_world::sample::point::SurfacePoint;
 
     #[test]
     fn a_part_of_the_surface_has_all_pixels_of_its_places() {

@@ -2,25 +2,17 @@
 //! Each step then takes some of them into the samples.
 
 use crate::fit::{components::TexelSeen, groups::groups_of_views};
-use bevy_ecs::prelude::{Query, Res, Resource, With, World};
+use crate::prelude::*;
 use bevy_ecs::system::RunSystemOnce;
-use glam::Vec2;
-use lobelia_geometry::view::{
-    ByView, Camera, Photograph, PixelWindow, Split, StoredMask, ViewIndex, ViewMask, glare_limit,
-};
-use lobelia_geometry::{Error, Result, error::stop::check_interrupted, view::raster::FULL_COVERAGE};
+use lobelia_geometry::view::{PixelWindow, Split, StoredMask, ViewMask, glare_limit, raster::FULL_COVERAGE};
 use lobelia_sg::ray::{Intersect, TexelAddress};
-use lobelia_world::light::placement::Placements;
-use lobelia_world::material::{TexelIndex, Texels};
-use lobelia_world::pipeline::{Phase, Pipeline, SystemResult, pool::Pool};
-use lobelia_world::sample::pixel::{ImageGradient, Observed, PixelOf, SATURATION, SampleIndex, ViewRay};
-use lobelia_world::sample::point::{Scenery, SurfacePoint};
+use lobelia_world::pipeline::pool::Pool;
+use lobelia_world::sample::pixel::{ImageGradient, SATURATION, SampleIndex};
 use lobelia_world::sample::{
-    FitSample, FrameSample, Observation, ObservationIndex, Observations, ObservedGradient, ObservedWindow,
-    Samples, despawn_observations, despawn_pool,
+    FitSample, FrameSample, ObservationIndex, Observations, ObservedGradient, ObservedWindow,
+    despawn_observations, despawn_pool,
 };
 use rand::{RngExt, SeedableRng, rngs::SmallRng, seq::SliceRandom};
-use rayon::prelude::*;
 use std::{ops::Range, sync::Arc};
 
 /// Inputs from which the pool of observed pixels was made.
@@ -441,10 +433,9 @@ fn even_share(counts: &[u32], most: usize) -> (u32, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::{Affine3A, Vec2, Vec3};
+    use glam::Affine3A;
     use lobelia_geometry::view::{Image, Mask, Split, StoredMask};
-    use lobelia_sg::ray::{Hit, Ray};
-    use lobelia_world::{material::TexelIndex, pipeline::Stage};
+    use lobelia_sg::ray::Hit;
 
     #[test]
     fn rare_texels_keep_all_and_the_others_an_even_share() {

@@ -11,28 +11,17 @@
 
 use crate::fit::components::{StepRates, Unknowns};
 use crate::fit::initialization::{Initialization, Known, extent, least_rough, lobes_of, with_initialization};
+use crate::prelude::*;
 use crate::shade::systems::{kernel_specular, shade_materials, turned};
 use crate::{fit::exposure::Exposures, fit::loss::radiance, visibility::WindowVisibility};
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, With, World};
 use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
-use glam::{DMat3, DVec3, Mat3, Quat, UVec3, Vec3};
-use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
-use lobelia_geometry::{Result, error::stop::check_interrupted};
-use lobelia_sg::shading::{
-    ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue,
-};
+use glam::{DMat3, Quat};
+use lobelia_sg::shading::{Lighting, SpecularValue};
 use lobelia_world::light::light_frame::{LightFrame, turning_axis};
-use lobelia_world::light::placement::{
-    LightGroup, PlacedFrame, PlacementTurn, Placements, TurnSource, light_from_world,
-};
-use lobelia_world::light::{LightLobe, lights::IncidentLight};
-use lobelia_world::material::{material_source::BaseMaterials, recovered_albedo};
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Stage, SystemResult};
-use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::{Observation, Samples, point::PointBlend};
-use serde::{Deserialize, Serialize};
+use lobelia_world::light::lights::IncidentLight;
+use lobelia_world::light::placement::{PlacedFrame, PlacementTurn, TurnSource, light_from_world};
+use lobelia_world::{material::material_source::BaseMaterials, sample::point::PointBlend};
 use std::collections::HashMap;
-use tracing::info_span;
 
 /// Steps under one light between two windows that are summed.
 const SUM_EVERY: u32 = 3;

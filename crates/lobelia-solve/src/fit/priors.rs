@@ -9,15 +9,10 @@
 
 use crate::fit::guard::{check_adjoints, step_is_sound};
 use crate::fit::{components::TexelSeen, scale::ScaleRule};
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, Resource, With, World};
-use glam::{DVec3, Vec3};
-use lobelia_geometry::Result;
-use lobelia_geometry::view::{AlbedoMap, ByView, NormalMap, PriorMap, ViewIndex};
-use lobelia_sg::{ray::TexelAddress, shading::PointAdjoint};
-use lobelia_world::material::{TexelIndex, USUAL_ALBEDO, sheen::write_albedo};
-use lobelia_world::pipeline::pool::read_column;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage, SystemResult};
-use lobelia_world::sample::{Observation, ObservationIndex, Samples, pixel::PixelOf, point::SurfacePoint};
+use crate::prelude::*;
+use lobelia_geometry::view::{AlbedoMap, NormalMap, PriorMap};
+use lobelia_sg::ray::TexelAddress;
+use lobelia_world::{material::sheen::write_albedo, pipeline::ScatterAdjoints, sample::ObservationIndex};
 
 /// Rounds of the mean on each texel and the factor of each map.
 const ROUNDS: usize = 4;

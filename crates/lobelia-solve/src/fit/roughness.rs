@@ -8,14 +8,9 @@
 //! base materials of fixed roughness, so that shading does not depend on it. The systems replace [`move_blends`] and use the same lattice.
 
 use crate::fit::components::{AdamStep, Bounded, Moments, StepGradient, StepRates, Unknowns};
-use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
-use glam::{UVec3, Vec3};
+use crate::prelude::*;
 use lobelia_geometry::mesh::atlas::TexelAtlas;
-use lobelia_world::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, Texels, texels_in_order};
-use lobelia_world::sample::{Samples, point::SurfacePoint};
-use lobelia_world::{material::material_source::BaseMaterials, pipeline::SystemResult};
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use lobelia_world::material::{MAX_SPECULAR_LOBES, material_source::BaseMaterials, texels_in_order};
 
 /// One value per base material.
 pub type PerMaterial = [f32; MAX_SPECULAR_LOBES];

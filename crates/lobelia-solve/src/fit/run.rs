@@ -32,30 +32,22 @@ use crate::fit::start::{FramesTried, find_start};
 use crate::fit::systems::{
     compare_with_photographs, move_lobes, move_specular, move_texels, pull_back_radiance, scatter_to_texels,
 };
-use crate::fit::{metal::bound_diffuse_albedo, priors::follow_maps};
+use crate::fit::{initialization::initialize_light_and_albedo, metal::bound_diffuse_albedo};
+use crate::prelude::*;
 use crate::shade::frame::{add_gathering, add_material_resources};
 use crate::visibility::{FitVisibilityPlugin, ObjectVisibility, systems::RefreshDue};
-use crate::{fit::initialization::initialize_light_and_albedo, shade::shade_closed_form};
-use bevy_ecs::prelude::{Bundle, Entity, IntoScheduleConfigs, Resource, With, World};
-use bevy_ecs::{query::QueryFilter, schedule::ScheduleConfigs, system::ScheduleSystem};
-use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
-use lobelia_geometry::{Result, error::stop::is_stopping};
-use lobelia_sg::shading::ClosedForm;
+use crate::{fit::priors::follow_maps, shade::shade_closed_form};
+use bevy_ecs::{prelude::Bundle, query::QueryFilter, schedule::ScheduleConfigs, system::ScheduleSystem};
+use lobelia_geometry::view::ViewName;
 use lobelia_world::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_resource};
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::light::lights::{LightChoice, provide_light};
-use lobelia_world::light::{LightLobe, groups::FittedLobe, lobes_in_use, placement::Placements};
+use lobelia_world::light::{groups::FittedLobe, lobes_in_use};
 use lobelia_world::material::material_source::{PlainBlends, RecoveredMaterial};
-use lobelia_world::material::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
-    first_material, texels_in_order, tilt::has_tilt,
-};
-use lobelia_world::pipeline::pool::{read_column, write_column};
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
+use lobelia_world::material::{DiffuseTilt, first_material, texels_in_order, tilt::has_tilt};
+use lobelia_world::pipeline::{ScatterAdjoints, pool::write_column};
 use lobelia_world::sample::{ObservedWindow, despawn_pool, pixel::Window};
-use serde::{Deserialize, Serialize};
 use std::{ops::ControlFlow, time::Instant};
-use tracing::info_span;
 
 /// Settings of a fit.
 #[derive(Clone, Debug, PartialEq)]

@@ -12,20 +12,11 @@
 
 use crate::fit::components::{AdamStep, Moments, StepRates, TexelSeen, Unknowns};
 use crate::fit::metal::{Metals, metalness};
-use bevy_ecs::prelude::{DetectChangesMut, Query, Res, ResMut, Resource, World};
-use glam::{DVec3, Vec3, Vec4};
-use lobelia_geometry::Result;
-use lobelia_sg::sg::sphere_integral;
-use lobelia_sg::shading::{Layers, RadianceAdjoint, ShadePoint};
-use lobelia_world::light::{LightLobe, groups::FittedLobe, lights::own_lobes};
-use lobelia_world::material::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe, TexelIndex, Texels, USUAL_ALBEDO,
-    sheen::write_albedo,
-};
-use lobelia_world::pipeline::{SystemResult, pool::read_column};
-use lobelia_world::sample::{Samples, point::PointBlend};
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use crate::prelude::*;
+use bevy_ecs::prelude::DetectChangesMut;
+use lobelia_sg::{sg::sphere_integral, shading::RadianceAdjoint};
+use lobelia_world::light::{groups::FittedLobe, lights::own_lobes};
+use lobelia_world::{material::sheen::write_albedo, sample::point::PointBlend};
 use std::ops::Range;
 
 /// The rule for the scale between light and albedo, one factor per channel, when both are unknown.
@@ -318,7 +309,6 @@ fn without_mean(v: Vec3) -> Vec3 {
 mod tests {
     use super::*;
     use crate::fit::loss::{Loss, image_loss};
-    use lobelia_world::sample::pixel::Observed;
 
     #[test]
     fn the_derivative_of_the_scale_agrees_with_differences() {

@@ -10,17 +10,9 @@
 
 use crate::fit::components::{AdamStep, AlbedoGradient, AlbedoMoments, Moments, StepRates, Unknowns};
 use crate::fit::{exposure::Exposures, loss::radiance, systems::moved_color};
-use bevy_ecs::prelude::{Component, Res, ResMut, Resource, With, World};
-use glam::Vec3;
-use lobelia_geometry::view::{Camera, Photograph, Split, ViewIndex};
-use lobelia_sg::shading::{Layers, PointAdjoint, ShadePoint};
+use crate::prelude::*;
+use lobelia_geometry::view::Split;
 use lobelia_world::material::sheen::{KnownAlong, grazing, has_sheen};
-use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, TexelIndex, Texels};
-use lobelia_world::pipeline::{SystemResult, pool::read_column};
-use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::{Samples, point::SurfacePoint};
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Gradient of the loss with respect to a texel's albedo along the surface, and the weight of the samples that it sums over.

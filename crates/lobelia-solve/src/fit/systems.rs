@@ -8,24 +8,18 @@ use crate::fit::components::{
     StepGradient, StepRates, Unknowns,
 };
 use crate::fit::metal::{DIELECTRIC_ALBEDO, is_dielectric};
-use crate::fit::roughness::PerMaterial;
+use crate::fit::{exposure::Exposures, loss::image_loss, roughness::PerMaterial};
+use crate::prelude::*;
 use crate::shade::device::{ShadingDevice, failed, loops_of};
 use crate::shade::systems::{Showing, kernel_materials};
-use crate::{fit::exposure::Exposures, fit::loss::image_loss, visibility::WindowVisibility};
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut};
+use crate::visibility::WindowVisibility;
 use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
-use glam::Vec3;
 use lobelia_sg::shading::{
-    CHUNK, ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, PointAdjoint, PointVisibility,
-    RadianceAdjoint, RadianceColumns, ShadeCall, ShadePoint, SharedGradient, SpecularAdjoint, SpecularValue,
+    CHUNK, Lighting, LobeVisibility, RadianceAdjoint, RadianceColumns, ShadeCall, SharedGradient,
+    SpecularAdjoint, SpecularValue,
 };
-use lobelia_world::light::{LightLobe, lights::IncidentLight};
-use lobelia_world::material::{BaseMaterial, DiffuseAlbedo, SpecularLobe, Texels};
-use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::point::{PointBlend, SurfacePoint};
-use lobelia_world::sample::{LightRotations, Samples};
-use lobelia_world::{material::material_source::BaseMaterials, pipeline::SystemResult};
-use rayon::prelude::*;
+use lobelia_world::material::material_source::BaseMaterials;
+use lobelia_world::{light::lights::IncidentLight, sample::LightRotations, sample::point::PointBlend};
 
 /// Range of roughness in a fit; highlights of lower roughness are too narrow for single precision and for the pixels that show them.
 pub const ROUGHNESS_RANGE: Bounded = Bounded { low: 0.03, high: 1.0 };

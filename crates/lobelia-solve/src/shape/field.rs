@@ -4,10 +4,8 @@
 //! vertices first, and from there by one divergence stencil to the values. The position moves along its ray as the values change
 //! (implicit differentiation; IDR eq. 3, Niemeyer et al. 2020): dx/dφ = −d / (∇φ·d).
 
-use bevy_ecs::prelude::Resource;
-use glam::{UVec3, Vec3, Vec4};
-use lobelia_geometry::sdf::{SdfGrid, volume::SdfSurface};
-use rayon::prelude::*;
+use crate::prelude::*;
+use lobelia_geometry::sdf::volume::SdfSurface;
 
 pub(crate) const BRICK_SIDE: u32 = 8;
 pub(crate) const BRICK_LEN: usize = 512;
@@ -292,7 +290,6 @@ impl FieldAdjoint {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lobelia_sg::ray::Ray;
 
     fn is_interior(grid: &SdfGrid, row: usize) -> bool {
         let vertex = grid.vertex(row);

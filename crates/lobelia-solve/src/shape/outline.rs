@@ -11,14 +11,12 @@
 //! Source: contour generators as constraints on a surface (Cipolla and Giblin, "Visual Motion of Curves and Surfaces", 2000);
 //! the plate as in [`stereo`](crate::shape::stereo).
 
+use crate::prelude::*;
 use crate::shape::hull::extract_parts;
 use crate::shape::shell::{Plate, Shell, area_vector};
 use crate::shape::silhouette::{Sighting, Silhouette};
-use glam::{IVec3, UVec3, Vec2, Vec3};
+use glam::IVec3;
 use lobelia_geometry::mesh::triangles::{Side, sorted_sides};
-use lobelia_geometry::{error::stop::is_stopping, mesh::bvh::TriangleBvh, sdf::SdfGrid};
-use lobelia_sg::ray::Ray;
-use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Rounds: a moved surface has other contours.
@@ -289,7 +287,7 @@ mod tests {
     use super::*;
     use crate::shape::silhouette::pixel_size;
     use crate::shape::test_support::{around, mask};
-    use lobelia_geometry::{mesh::primitive::sphere_mesh, sdf::extract::extract_mesh, view::Camera};
+    use lobelia_geometry::{mesh::primitive::sphere_mesh, sdf::extract::extract_mesh};
 
     /// Masks of a ball around the origin, seen from all around, with anti-aliased outlines.
     fn ball(radius: f32) -> Vec<Silhouette> {

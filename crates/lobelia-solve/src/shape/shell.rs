@@ -1,9 +1,7 @@
 //! The merged vertices of a mesh: a graph with positions and normals, its smoothing, and thin plates on it.
 
-use glam::Vec3;
-use lobelia_geometry::mesh::triangles::Mesh;
+use crate::prelude::*;
 use lobelia_sg::linear::conjugate_gradients;
-use rayon::prelude::*;
 
 /// Iterations of conjugate gradients for smoothing, and for plates.
 const ROUNDS: usize = 24;

@@ -7,18 +7,11 @@
 //! few moves the contours are brought back to their outlines (`outline`).
 
 use crate::fit::guard::{StepGuard, is_usable};
+use crate::prelude::*;
 use crate::shape::shell::{Shell, VertexGraph, by_axis, pull_back_unit};
 use crate::shape::systems::{OUTLIER, root_mean_square};
 use crate::{fit::components::StepRates, shape::outline::OutlineGuide, shape::silhouette::Silhouette};
-use bevy_ecs::prelude::{Res, ResMut, Resource, World};
-use glam::Vec3;
-use lobelia_geometry::mesh::bvh::{TriangleBvh, TriangleHit};
-use lobelia_geometry::mesh::{Surface, triangles::Mesh};
-use lobelia_sg::shading::PointAdjoint;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
-use lobelia_world::sample::point::{Scenery, SurfacePoint};
-use lobelia_world::sample::{Samples, pixel::ViewRay};
-use rayon::prelude::*;
+use lobelia_geometry::mesh::{Surface, bvh::TriangleHit};
 use std::sync::Arc;
 
 /// Steps between two moves; adjoints are summed over these.

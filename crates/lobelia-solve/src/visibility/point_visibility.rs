@@ -4,14 +4,13 @@
 //! reflected, a few rays within the lobe say what it meets. Where they meet the surface, that sends diffuse light, and its reflection
 //! of the sky in turn.
 
+use crate::prelude::*;
 use crate::visibility::occlusion::{Bounce, Cones, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe, widened};
 use crate::visibility::texel_visibility::{MAX_DIRECTIONS, OFFSET, TOGETHER, TexelVisibility};
 use fearless_simd::{Level, Simd, dispatch};
-use glam::{Mat3, Vec3};
 use lobelia_sg::ray::{Hit, Intersect};
 use lobelia_sg::real::{Real, dot};
-use lobelia_sg::{brdf::ndf_sharpness, color::luminance, lanes::Lanes, shading::PointVisibility};
-use lobelia_world::sample::pixel::PixelOf;
+use lobelia_sg::{brdf::ndf_sharpness, color::luminance, lanes::Lanes};
 use std::{f32::consts::PI, sync::LazyLock};
 
 /// Directions contribute to specular light where the BRDF lobe is above e to the power of minus this.
@@ -309,8 +308,7 @@ fn weigh_directions<S: Simd>(
 mod tests {
     use super::*;
     use crate::visibility::texel_visibility::cluster;
-    use lobelia_sg::ray::{Ray, TexelAddress};
-    use lobelia_sg::{fibonacci::fibonacci_axes, sg::Lobe, shading::LobeColumns};
+    use lobelia_sg::{fibonacci::fibonacci_axes, ray::TexelAddress, sg::Lobe};
     use std::f32::consts::LN_2;
 
     #[test]

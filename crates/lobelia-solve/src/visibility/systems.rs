@@ -5,20 +5,14 @@
 
 use super::object_visibility::{Made, ObjectVisibility, WindowVisibility};
 use super::{occlusion::Reflectance, point_visibility::LobeRays};
-use bevy_ecs::prelude::{
-    Changed, IntoScheduleConfigs, Or, Query, Res, ResMut, Resource, SystemCondition, World,
-};
+use crate::prelude::*;
+use bevy_ecs::prelude::{Changed, Or, SystemCondition};
 use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
-use lobelia_sg::shading::PointVisibility;
-use lobelia_world::light::{LightLobe, lights::IncidentLight};
+use lobelia_world::light::lights::IncidentLight;
 use lobelia_world::material::material_source::{
     BaseMaterials, ColumnOf, Holds, MaterialSource, MaterialTexels, RecoveredMaterial, ShownMaterial,
 };
-use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe, sheen::mean_albedo};
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
-use lobelia_world::sample::pixel::{PixelOf, ViewRay};
-use lobelia_world::sample::point::{PointBlend, Scenery, SurfacePoint};
-use lobelia_world::sample::{LightRotations, Samples};
+use lobelia_world::{material::sheen::mean_albedo, sample::LightRotations, sample::point::PointBlend};
 use std::any::TypeId;
 
 /// Whether this step of a fit updates shadows and interreflection; a fit does so every few steps.

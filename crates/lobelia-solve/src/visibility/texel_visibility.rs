@@ -9,10 +9,9 @@
 //!
 //! Memory per row: one bit per direction, and 4 bytes per occluded direction.
 
-use glam::Vec3;
-use lobelia_geometry::{error::stop::is_stopping, mesh::atlas::TexelAtlas};
+use crate::prelude::*;
+use lobelia_geometry::mesh::atlas::TexelAtlas;
 use lobelia_sg::ray::Intersect;
-use rayon::prelude::*;
 
 /// Most directions.
 pub(crate) const MAX_DIRECTIONS: usize = 4096;
@@ -256,8 +255,8 @@ fn heaviest(address: &lobelia_sg::ray::TexelAddress) -> u32 {
 mod tests {
     use super::*;
     use glam::Vec3Swizzles;
+    use lobelia_geometry::mesh::Surface;
     use lobelia_geometry::mesh::primitive::{ball_over_plate, box_mesh, sphere_mesh};
-    use lobelia_geometry::mesh::{Surface, triangles::Mesh};
     use lobelia_sg::fibonacci::fibonacci_axes;
 
     fn traced(mesh: Mesh) -> (Surface, TexelVisibility) {

@@ -8,10 +8,9 @@
 //! deep, and would eat into the object.
 
 use super::radiance_field::{FieldRay, RadianceField, depth, march};
+use crate::prelude::*;
 use crate::shape::{cube, flood, neighbors, pictures::ColorPicture, size};
-use glam::{Vec3, Vec4, Vec4Swizzles};
-use lobelia_geometry::{error::stop::is_stopping, sdf::SdfGrid};
-use rayon::prelude::*;
+use glam::Vec4Swizzles;
 
 /// Before the depth at which half of the light is stopped, and behind it, space counts as that where a ray is stopped, in cells.
 const MARGIN: f32 = 0.75;

@@ -1,9 +1,8 @@
 use super::*;
 use crate::shape::test_support::{Pictures, meets_ball};
-use lobelia_geometry::{mesh::primitive::sphere_mesh, view::Camera};
+use lobelia_geometry::mesh::primitive::sphere_mesh;
 use lobelia_sg::fibonacci::fibonacci_axes;
-use lobelia_world::light::light_frame::LightFrame;
-use lobelia_world::light::placement::{PlacedFrame, Placements};
+use lobelia_world::light::{light_frame::LightFrame, placement::PlacedFrame};
 
 const PIXELS: u32 = 160;
 

@@ -1,14 +1,11 @@
 use super::*;
 use crate::fit::components::{StepRates, Unknowns};
-use crate::fit::{ObjectTurned, loss::Loss, observe::PixelChoice, run::FitPlugin, scale::ScaleRule};
-use crate::fit::{guard::StepGuard, loss::radiance};
+use crate::fit::loss::{Loss, radiance};
+use crate::fit::{ObjectTurned, guard::StepGuard, observe::PixelChoice, run::FitPlugin, scale::ScaleRule};
 use crate::{shade::systems::kernel_specular, shape::test_support::Pictures};
-use bevy_ecs::prelude::{Entity, Res, ResMut};
 use lobelia_sg::brdf::Ndf;
 use lobelia_sg::fibonacci::{fibonacci_axes, spacing_sharpness};
-use lobelia_sg::shading::{ClosedForm, Layers, LobeColumns, ShadePoint};
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
-use lobelia_world::{light::LightLobe, material::SpecularLobe, pipeline::Stage, pipeline::pool::read_column};
 
 const SIZE: u32 = 48;
 const SPECULAR: SpecularLobe = SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.4, ndf: Ndf::Sg };
