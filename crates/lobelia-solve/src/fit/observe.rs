@@ -433,9 +433,9 @@ fn even_share(counts: &[u32], most: usize) -> (u32, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::shape::test_support::Wall;
     use glam::Affine3A;
     use lobelia_geometry::view::{Image, Mask, Split, StoredMask};
-    use lobelia_sg::ray::Hit;
 
     #[test]
     fn rare_texels_keep_all_and_the_others_an_even_share() {
@@ -477,28 +477,6 @@ mod tests {
         assert!(pixels.iter().all(|of| of.pixel != 7) && pixels.iter().any(|of| of.pixel == 3));
     }
 
-    /// All that is beyond z = 1.
-    struct Wall;
-
-    impl Intersect for Wall {
-        fn intersect(&self, ray: &Ray, _: f32) -> Option<Hit> {
-            let distance = (1.0 - ray.origin.z) / ray.direction.z;
-            let normal = Vec3::NEG_Z;
-            (distance > 0.0).then(|| Hit {
-                distance,
-                position: ray.origin + distance * ray.direction,
-                normal,
-                geometric_normal: normal,
-                uv: glam::Vec2::ZERO,
-                texels: TexelAddress { weights: [0.25; 4], ..TexelAddress::default() },
-            })
-        }
-
-        fn occluded(&self, ray: &Ray, _: f32, _: f32) -> bool {
-            ray.direction.z > 0.0
-        }
-    }
-
     #[test]
     fn a_pool_is_made_once_for_the_same_pixels_cameras_and_surface() {
         let mut pipeline = Pipeline::new();
@@ -506,7 +484,7 @@ mod tests {
         let camera = Camera::look_at(Vec3::ZERO, Vec3::Z, Vec3::Y, 40.0, 4, 4).unwrap();
         let gray = Photograph::of_image(&Image { width: 4, height: 4, pixels: vec![Vec3::splat(0.5); 16] });
         let view = world.spawn((ViewIndex(0), camera, gray, Split::Train)).id();
-        world.insert_resource(Scenery(Arc::new(Wall)));
+        world.insert_resource(Scenery(Arc::new(Wall(Vec3::Z))));
         world.insert_resource(PixelChoice { seed: 1, max_pixels: 10, evenly: false });
         world.spawn((TexelIndex(0), TexelSeen(0.0)));
         world.init_resource::<ObservedWindow>();
@@ -525,7 +503,7 @@ mod tests {
         assert!(!pool_holds(&mut pipeline.world));
         assert_eq!(make_pool(&mut pipeline).unwrap(), 10);
         assert!(pool_holds(&mut pipeline.world));
-        pipeline.world.insert_resource(Scenery(Arc::new(Wall)));
+        pipeline.world.insert_resource(Scenery(Arc::new(Wall(Vec3::Z))));
         assert!(!pool_holds(&mut pipeline.world));
         pipeline.world.insert_resource(PixelChoice { seed: 1, max_pixels: 12, evenly: false });
         assert_eq!(make_pool(&mut pipeline).unwrap(), 12);

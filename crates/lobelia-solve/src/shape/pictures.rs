@@ -143,10 +143,8 @@ impl<V: PixelValue> SmallPicture<V> {
     pub fn cast(&self, bvh: &TriangleBvh) -> Vec<Seen> {
         let seen = |(ray, value): (Ray, &V)| {
             let hit = if value.is_alone() && !is_stopping() { bvh.nearest(&ray, 0.0) } else { None };
-            hit.map_or(Seen { distance: f32::INFINITY, triangle: 0 }, |hit| Seen {
-                distance: hit.distance,
-                triangle: hit.triangle,
-            })
+            let (distance, triangle) = hit.map_or((f32::INFINITY, 0), |hit| (hit.distance, hit.triangle));
+            Seen { distance, triangle }
         };
         self.rays().zip(&self.values).map(seen).collect()
     }

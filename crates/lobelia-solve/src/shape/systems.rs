@@ -186,10 +186,8 @@ pub fn smooth_gradient(
     let smoothness = relaxed / (grid.spacing * grid.spacing);
     fill(grid, at, to, |run| {
         let curved = laplacian(grid, run, from);
-        let pulled = |k: usize| match k < run.len {
-            true => adjoint.of_row(grid, run.row + k, run.interior),
-            false => 0.0,
-        };
+        let row = |k: usize| adjoint.of_row(grid, run.row + k, run.interior);
+        let pulled = |k: usize| if k < run.len { row(k) } else { 0.0 };
         each(|half| {
             Vec4::from_array(std::array::from_fn(|k| pulled(4 * half + k))) + smoothness * curved[half]
         })

@@ -307,9 +307,11 @@ fn weigh_directions<S: Simd>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::visibility::texel_visibility::cluster;
-    use lobelia_sg::{fibonacci::fibonacci_axes, ray::TexelAddress, sg::Lobe};
+    use crate::{shape::test_support::Wall, visibility::texel_visibility::cluster};
+    use lobelia_sg::{fibonacci::fibonacci_axes, sg::Lobe};
     use std::f32::consts::LN_2;
+
+    static WALL: Wall = Wall(Vec3::X);
 
     #[test]
     fn points_of_a_pixel_share_what_is_alike() {
@@ -331,27 +333,6 @@ mod tests {
         assert_eq!(of(&[(alike, 7), (None, 7), (turned, 7), (alike, 7)]), [0, 0, 2, 3, 0]);
         assert_eq!(of(&[(Some(point(0.011, 0.0, 0.3)), 7), (Some(point(0.0, 0.0, 0.32)), 7)]), [0, 1, 2]);
         assert_eq!(of(&[(alike, 8), (alike, 8), (alike, 7)]), [0, 1, 1, 3]);
-    }
-
-    /// All that is beyond x = 1.
-    struct Wall;
-
-    impl Intersect for Wall {
-        fn intersect(&self, ray: &Ray, _: f32) -> Option<Hit> {
-            let distance = (1.0 - ray.origin.x) / ray.direction.x;
-            (ray.direction.x > 0.0).then(|| Hit {
-                position: ray.origin + distance * ray.direction,
-                normal: -Vec3::X,
-                geometric_normal: -Vec3::X,
-                distance,
-                uv: glam::Vec2::ZERO,
-                texels: TexelAddress { weights: [0.25; 4], ..TexelAddress::default() },
-            })
-        }
-
-        fn occluded(&self, ray: &Ray, _: f32, _: f32) -> bool {
-            ray.direction.x > 0.0
-        }
     }
 
     fn sky(lobes: &[([f32; 3], f32, f32)]) -> Sky {
@@ -379,7 +360,7 @@ mod tests {
     fn a_lobe_that_meets_a_wall_has_its_light() {
         let sky = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
         let red = Mirror { diffuse: Vec3::new(1.0, 0.5, 0.0), ..Mirror::default() };
-        for rays in [false, true].map(|of_step| LobeRays::new(&Wall, of_step)) {
+        for rays in [false, true].map(|of_step| LobeRays::new(&WALL, of_step)) {
             let part = |axis: Vec3| part_over(Vec3::Y, rays, axis, red, &sky);
             assert!(part(Vec3::new(1.0, 1.0, 0.0)).abs_diff_eq(Vec3::new(0.5, 0.25, 0.0), 1e-3));
             assert!(part(Vec3::new(-1.0, 1.0, 0.0)).abs_diff_eq(Vec3::ONE, 1e-6));
@@ -393,7 +374,7 @@ mod tests {
         let white = Mirror { albedo: Vec3::ONE, sharpness: 5000.0, ..Mirror::default() };
         let even = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
         let part =
-            |axis: Vec3, wall, sky: &Sky| part_over(Vec3::Y, LobeRays::new(&Wall, false), axis, wall, sky);
+            |axis: Vec3, wall, sky: &Sky| part_over(Vec3::Y, LobeRays::new(&WALL, false), axis, wall, sky);
         assert!(part(Vec3::new(1.0, 1.0, 0.0), white, &even).abs_diff_eq(Vec3::ONE, 1e-3));
         // The lamp in the mirror is behind the point; toward the wall it is dark.
         let lamp = |dark: f32| sky(&[([-1.0, 0.0, 0.0], 30.0, 1.0), ([1.0, 0.0, 0.0], 0.5, dark)]);
@@ -409,7 +390,7 @@ mod tests {
     #[test]
     fn rays_that_enter_the_flat_triangle_see_the_sky() {
         let sky = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
-        let (rays, axis) = (LobeRays::new(&Wall, false), Vec3::new(1.0, 0.1, 0.0));
+        let (rays, axis) = (LobeRays::new(&WALL, false), Vec3::new(1.0, 0.1, 0.0));
         let part = |geometric: Vec3| part_over(geometric, rays, axis, Mirror::default(), &sky);
         assert_eq!(part(Vec3::Y), Vec3::ZERO);
         assert_eq!(part(Vec3::new(-0.5, 0.8, 0.0)), Vec3::ONE);

@@ -262,18 +262,14 @@ impl<'a> Model<'a> {
                 return self.normals[i];
             }
             // The candidate with the least error, within an angle of the normal of the mesh.
-            let mut best: Option<(f32, Vec3)> = None;
-            for normal in around(self.normals[i], degrees.to_radians(), rings) {
+            let judged = |normal: Vec3| {
                 let angle = normal.angle_between(self.given[i]);
-                if angle > MOST_DEGREES.to_radians() {
-                    continue;
-                }
-                let Some(sums) = self.moments(i, normal) else { continue };
-                let error = sums.error(&sums.colors()) + FAR * angle * angle * sums.ll.element_sum();
-                if best.is_none_or(|(least, _)| error < least) {
-                    best = Some((error, normal));
-                }
-            }
+                let is_near = angle <= MOST_DEGREES.to_radians();
+                let sums = is_near.then(|| self.moments(i, normal)).flatten()?;
+                Some((sums.error(&sums.colors()) + FAR * angle * angle * sums.ll.element_sum(), normal))
+            };
+            let tried = around(self.normals[i], degrees.to_radians(), rings).filter_map(judged);
+            let best = tried.min_by(|a, b| a.0.total_cmp(&b.0));
             best.map_or(self.normals[i], |(_, normal)| normal)
         };
         let best: Vec<Vec3> =
