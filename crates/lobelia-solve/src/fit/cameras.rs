@@ -17,9 +17,7 @@ use crate::fit::{components::StepRates, exposure::Exposures, loss::radiance};
 use crate::prelude::*;
 use bevy_ecs::prelude::Mut;
 use glam::{Affine3A, Quat};
-use lobelia_geometry::view::ViewName;
 use lobelia_sg::linear::{cholesky, solve_factored};
-use lobelia_sg::ray::Intersect;
 use lobelia_world::sample::pixel::ImageGradient;
 
 /// Steps between two moves of the cameras; their normal equations are summed over these.

@@ -28,12 +28,11 @@ use glam::Mat2;
 use half::f16;
 use lobelia_sg::ray::TexelAddress;
 use lobelia_world::light::lights::{LightChoice, provide_light};
+use lobelia_world::material::material_source::RecoveredMaterial;
 use lobelia_world::material::sheen::{KnownAlong, grazing, has_sheen, mean_albedo, write_albedo};
 use lobelia_world::material::tilt::{DirectionalAlbedo, MOST_TILT, along_surface};
-use lobelia_world::material::{DiffuseTilt, material_source::RecoveredMaterial};
 use lobelia_world::pipeline::{GatherPoints, pool::write_column};
 use lobelia_world::sample::{despawn_pool, pixel::Window};
-use std::ops::ControlFlow;
 
 /// Sweeps over all pixels. They are cheap beside shading.
 const SWEEPS: u32 = 7;

@@ -14,9 +14,8 @@ use crate::fit::initialization::{Initialization, Known, extent, lobes_of, traced
 use crate::prelude::*;
 use crate::{fit::components::Unknowns, fit::loss::radiance, shade::systems::kernel_specular};
 use lobelia_sg::linear::{cholesky, solve_factored};
-use lobelia_sg::shading::{Lighting, LobeVisibility, RESPONSE_ROWS, SpecularValue};
-use lobelia_sg::{fibonacci::fibonacci_axes, sg::sphere_integral};
-use std::{collections::HashMap, f32::consts::FRAC_1_PI, ops::Range};
+use lobelia_sg::{fibonacci::fibonacci_axes, sg::sphere_integral, shading::RESPONSE_ROWS};
+use std::{collections::HashMap, f32::consts::FRAC_1_PI};
 
 /// Cells along the longest side of the object whose pixels have residuals that may be alike, and patches along it whose albedo has a factor.
 const CLUSTERS: f32 = 32.0;

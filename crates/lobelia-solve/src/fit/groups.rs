@@ -10,8 +10,6 @@ use crate::{fit::components::LobeMoments, visibility::ObjectVisibility};
 use bevy_ecs::prelude::Without;
 use lobelia_world::light::groups::{group_light, light_groups};
 use lobelia_world::light::lights::{LobeOf, LobesOf};
-use lobelia_world::sample::ObservationIndex;
-use std::ops::Range;
 
 /// Least share of the steps that a group has, relative to an equal share.
 const LEAST_SHARE: f64 = 0.25;

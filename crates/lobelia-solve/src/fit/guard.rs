@@ -10,9 +10,7 @@ use crate::fit::exposure::Exposures;
 use crate::fit::{loss::LossSums, observe::main_texel, roughness::BlendGradient, sheen::SheenGradient};
 use crate::prelude::*;
 use bevy_ecs::component::Mutable;
-use lobelia_geometry::view::ViewName;
-use lobelia_sg::shading::RadianceAdjoint;
-use lobelia_world::{light::groups::FittedLobe, light::lights::IncidentLight, material::DiffuseTilt};
+use lobelia_world::light::groups::FittedLobe;
 
 /// Steps in a row that may be taken back; one more ends the fit.
 const MOST_IN_A_ROW: u32 = 9;

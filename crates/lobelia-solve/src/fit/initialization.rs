@@ -9,14 +9,11 @@ use crate::prelude::*;
 use crate::shade::systems::{kernel_specular, turned};
 use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
 use bevy_ecs::{prelude::Without, system::SystemState};
-use fearless_simd::{Level, dispatch};
-use lobelia_sg::brdf::Ndf;
-use lobelia_sg::shading::{Lighting, LobeVisibility, RESPONSE_ROWS, SpecularValue};
-use lobelia_sg::{color::luminance, linear::descend_nonnegative, published::Lobe, sg::sphere_integral};
-use lobelia_world::light::{groups::light_groups, lights::LobeOf, placement::PlacedFrame};
-use lobelia_world::material::{MAX_SPECULAR_LOBES, sheen::write_albedo};
+use lobelia_sg::linear::descend_nonnegative;
+use lobelia_sg::{brdf::Ndf, color::luminance, published::Lobe, sg::sphere_integral, shading::RESPONSE_ROWS};
 use lobelia_world::sample::{Observations, light_rotations};
-use std::{borrow::Cow, f32::consts::FRAC_1_PI, ops::Range};
+use lobelia_world::{light::groups::light_groups, light::lights::LobeOf, material::sheen::write_albedo};
+use std::{borrow::Cow, f32::consts::FRAC_1_PI};
 
 /// Most pixels in a solve for the amplitudes.
 const AMPLITUDE_PIXELS: usize = 6144;

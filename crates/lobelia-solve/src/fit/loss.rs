@@ -3,8 +3,6 @@
 use crate::fit::exposure::Exposures;
 use crate::prelude::*;
 use lobelia_sg::color::{luminance, srgb_from_linear};
-use lobelia_sg::shading::RadianceAdjoint;
-use lobelia_world::sample::ObservationIndex;
 
 /// The function that a fit minimizes, averaged over pixels and channels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

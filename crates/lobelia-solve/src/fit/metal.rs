@@ -7,7 +7,6 @@
 use crate::fit::components::{StepRates, Unknowns};
 use crate::fit::roughness::TexelPlaces;
 use crate::prelude::*;
-use lobelia_world::material::MAX_SPECULAR_LOBES;
 
 /// The specular albedo of dielectrics: water has 0.02, glass and varnish 0.04, dense glaze 0.08.
 pub const DIELECTRIC_ALBEDO: (f32, f32) = (0.02, 0.08);

@@ -4,16 +4,15 @@
 use crate::fit::{components::TexelSeen, groups::groups_of_views};
 use crate::prelude::*;
 use bevy_ecs::system::RunSystemOnce;
-use lobelia_geometry::view::{PixelWindow, Split, StoredMask, ViewMask, glare_limit, raster::FULL_COVERAGE};
-use lobelia_sg::ray::{Intersect, TexelAddress};
+use lobelia_geometry::view::{PixelWindow, Split, ViewMask, glare_limit, raster::FULL_COVERAGE};
+use lobelia_sg::ray::TexelAddress;
 use lobelia_world::pipeline::pool::Pool;
 use lobelia_world::sample::pixel::{ImageGradient, SATURATION, SampleIndex};
 use lobelia_world::sample::{
-    FitSample, FrameSample, ObservationIndex, Observations, ObservedGradient, ObservedWindow,
-    despawn_observations, despawn_pool,
+    FitSample, FrameSample, Observations, ObservedGradient, ObservedWindow, despawn_observations,
+    despawn_pool,
 };
 use rand::{RngExt, SeedableRng, rngs::SmallRng, seq::SliceRandom};
-use std::{ops::Range, sync::Arc};
 
 /// Inputs from which the pool of observed pixels was made.
 #[derive(Resource)]
@@ -435,7 +434,7 @@ mod tests {
     use super::*;
     use crate::shape::test_support::Wall;
     use glam::Affine3A;
-    use lobelia_geometry::view::{Image, Mask, Split, StoredMask};
+    use lobelia_geometry::view::{Image, Mask, Split};
 
     #[test]
     fn rare_texels_keep_all_and_the_others_an_even_share() {

@@ -14,13 +14,9 @@ use crate::fit::initialization::{Initialization, Known, extent, least_rough, lob
 use crate::prelude::*;
 use crate::shade::systems::{kernel_specular, shade_materials, turned};
 use crate::{fit::exposure::Exposures, fit::loss::radiance, visibility::WindowVisibility};
-use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::{DMat3, Quat};
-use lobelia_sg::shading::{Lighting, SpecularValue};
 use lobelia_world::light::light_frame::{LightFrame, turning_axis};
-use lobelia_world::light::lights::IncidentLight;
-use lobelia_world::light::placement::{PlacedFrame, PlacementTurn, TurnSource, light_from_world};
-use lobelia_world::{material::material_source::BaseMaterials, sample::point::PointBlend};
+use lobelia_world::light::placement::{PlacementTurn, TurnSource, light_from_world};
 use std::collections::HashMap;
 
 /// Steps under one light between two windows that are summed.

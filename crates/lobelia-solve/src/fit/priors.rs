@@ -12,7 +12,7 @@ use crate::fit::{components::TexelSeen, scale::ScaleRule};
 use crate::prelude::*;
 use lobelia_geometry::view::{AlbedoMap, NormalMap, PriorMap};
 use lobelia_sg::ray::TexelAddress;
-use lobelia_world::{material::sheen::write_albedo, pipeline::ScatterAdjoints, sample::ObservationIndex};
+use lobelia_world::{material::sheen::write_albedo, pipeline::ScatterAdjoints};
 
 /// Rounds of the mean on each texel and the factor of each map.
 const ROUNDS: usize = 4;

@@ -10,7 +10,7 @@
 use crate::fit::components::{AdamStep, Bounded, Moments, StepGradient, StepRates, Unknowns};
 use crate::prelude::*;
 use lobelia_geometry::mesh::atlas::TexelAtlas;
-use lobelia_world::material::{MAX_SPECULAR_LOBES, material_source::BaseMaterials, texels_in_order};
+use lobelia_world::material::texels_in_order;
 
 /// One value per base material.
 pub type PerMaterial = [f32; MAX_SPECULAR_LOBES];

@@ -32,22 +32,21 @@ use crate::fit::start::{FramesTried, find_start};
 use crate::fit::systems::{
     compare_with_photographs, move_lobes, move_specular, move_texels, pull_back_radiance, scatter_to_texels,
 };
-use crate::fit::{initialization::initialize_light_and_albedo, metal::bound_diffuse_albedo};
+use crate::fit::{metal::bound_diffuse_albedo, priors::follow_maps};
 use crate::prelude::*;
 use crate::shade::frame::{add_gathering, add_material_resources};
 use crate::visibility::{FitVisibilityPlugin, ObjectVisibility, systems::RefreshDue};
-use crate::{fit::priors::follow_maps, shade::shade_closed_form};
-use bevy_ecs::{prelude::Bundle, query::QueryFilter, schedule::ScheduleConfigs, system::ScheduleSystem};
-use lobelia_geometry::view::ViewName;
+use crate::{fit::initialization::initialize_light_and_albedo, shade::shade_closed_form};
+use bevy_ecs::{prelude::Bundle, query::QueryFilter};
 use lobelia_world::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_resource};
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::light::lights::{LightChoice, provide_light};
 use lobelia_world::light::{groups::FittedLobe, lobes_in_use};
 use lobelia_world::material::material_source::{PlainBlends, RecoveredMaterial};
-use lobelia_world::material::{DiffuseTilt, first_material, texels_in_order, tilt::has_tilt};
+use lobelia_world::material::{first_material, texels_in_order, tilt::has_tilt};
 use lobelia_world::pipeline::{ScatterAdjoints, pool::write_column};
 use lobelia_world::sample::{ObservedWindow, despawn_pool, pixel::Window};
-use std::{ops::ControlFlow, time::Instant};
+use std::time::Instant;
 
 /// Settings of a fit.
 #[derive(Clone, Debug, PartialEq)]

@@ -14,10 +14,8 @@ use crate::fit::components::{AdamStep, Moments, StepRates, TexelSeen, Unknowns};
 use crate::fit::metal::{Metals, metalness};
 use crate::prelude::*;
 use bevy_ecs::prelude::DetectChangesMut;
-use lobelia_sg::{sg::sphere_integral, shading::RadianceAdjoint};
-use lobelia_world::light::{groups::FittedLobe, lights::own_lobes};
-use lobelia_world::{material::sheen::write_albedo, sample::point::PointBlend};
-use std::ops::Range;
+use lobelia_sg::sg::sphere_integral;
+use lobelia_world::{light::groups::FittedLobe, light::lights::own_lobes, material::sheen::write_albedo};
 
 /// The rule for the scale between light and albedo, one factor per channel, when both are unknown.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -13,13 +13,8 @@ use crate::prelude::*;
 use crate::shade::device::{ShadingDevice, failed, loops_of};
 use crate::shade::systems::{Showing, kernel_materials};
 use crate::visibility::WindowVisibility;
-use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
-use lobelia_sg::shading::{
-    CHUNK, Lighting, LobeVisibility, RadianceAdjoint, RadianceColumns, ShadeCall, SharedGradient,
-    SpecularAdjoint, SpecularValue,
-};
-use lobelia_world::material::material_source::BaseMaterials;
-use lobelia_world::{light::lights::IncidentLight, sample::LightRotations, sample::point::PointBlend};
+use lobelia_sg::shading::{CHUNK, RadianceColumns, ShadeCall, SharedGradient, SpecularAdjoint};
+use lobelia_world::sample::LightRotations;
 
 /// Range of roughness in a fit; highlights of lower roughness are too narrow for single precision and for the pixels that show them.
 pub const ROUGHNESS_RANGE: Bounded = Bounded { low: 0.03, high: 1.0 };

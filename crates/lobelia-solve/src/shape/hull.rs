@@ -18,8 +18,7 @@
 
 use crate::prelude::*;
 use crate::shape::silhouette::{MIN_VIEWS, Sighting, Silhouette};
-use lobelia_geometry::sdf::extract::extract_components;
-use lobelia_geometry::view::{Mask, StoredMask, raster::signed_distance};
+use lobelia_geometry::{sdf::extract::extract_components, view::Mask, view::raster::signed_distance};
 
 /// Share of the views that see a point whose masks may be wrong there.
 pub(super) const FORGIVEN: f32 = 0.02;

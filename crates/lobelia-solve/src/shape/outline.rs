@@ -17,7 +17,6 @@ use crate::shape::shell::{Plate, Shell, area_vector};
 use crate::shape::silhouette::{Sighting, Silhouette};
 use glam::IVec3;
 use lobelia_geometry::mesh::triangles::{Side, sorted_sides};
-use std::sync::Arc;
 
 /// Rounds: a moved surface has other contours.
 const ROUNDS: usize = 3;

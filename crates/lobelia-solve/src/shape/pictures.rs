@@ -4,7 +4,7 @@ use crate::fit::loss::coded_luminance;
 use crate::prelude::*;
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use glam::Vec3A;
-use lobelia_geometry::view::{PixelWindow, StoredMask};
+use lobelia_geometry::view::PixelWindow;
 use lobelia_sg::color::srgb_from_linear;
 use std::ops::RangeInclusive;
 

@@ -9,8 +9,7 @@ use crate::fit::cameras::AlignedRow;
 use crate::prelude::*;
 use crate::shape::{flood, neighbors};
 use half::f16;
-use lobelia_geometry::sdf::LeastDistance;
-use lobelia_geometry::view::{PixelWindow, StoredMask, raster::signed_distance};
+use lobelia_geometry::{sdf::LeastDistance, view::PixelWindow, view::raster::signed_distance};
 
 /// Pixels from the border of a frame within which a view abstains, and the same as a share of the frame's shorter side:
 /// masks are often trimmed there.

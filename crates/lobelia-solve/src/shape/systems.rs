@@ -9,7 +9,6 @@ use crate::shape::field::{
     BAND_CELLS, BrickAt, ModelError, RunValues, SampleAdjoint, SdfField, VertexRun, each, write_runs,
 };
 use crate::shape::silhouette::{SilhouetteSample, SilhouetteSamples, aligned_silhouette, loss_derivative};
-use std::ops::Range;
 
 /// Schedule of the optimization of the shape.
 #[derive(Resource, Clone, Copy, Debug, PartialEq)]

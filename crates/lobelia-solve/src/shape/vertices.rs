@@ -12,7 +12,6 @@ use crate::shape::shell::{Shell, VertexGraph, by_axis, pull_back_unit};
 use crate::shape::systems::{OUTLIER, root_mean_square};
 use crate::{fit::components::StepRates, shape::outline::OutlineGuide, shape::silhouette::Silhouette};
 use lobelia_geometry::mesh::{Surface, bvh::TriangleHit};
-use std::sync::Arc;
 
 /// Steps between two moves; adjoints are summed over these.
 const MOVE_EVERY: u32 = 12;

@@ -6,10 +6,9 @@ use crate::visibility::point_visibility::{
     Blend, LobeRays, SeenPoint, Surroundings, first_of_alike, is_open,
 };
 use crate::visibility::texel_visibility::TexelVisibility;
-use fearless_simd::{Level, dispatch};
 use lobelia_geometry::mesh::Surface;
-use lobelia_sg::{fibonacci::fibonacci_axes, shading::LobeVisibility};
-use std::{any::TypeId, sync::Arc};
+use lobelia_sg::fibonacci::fibonacci_axes;
+use std::any::TypeId;
 
 /// Angle below which two rotations count as one: 2°.
 const SAME_TURN: f32 = 0.035;

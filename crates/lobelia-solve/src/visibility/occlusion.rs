@@ -6,11 +6,10 @@
 
 use crate::prelude::*;
 use crate::visibility::texel_visibility::{TOGETHER, TexelVisibility};
-use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd::Simd;
 use lobelia_sg::lanes::{Lanes, MAX_LANES, Row};
 use lobelia_sg::real::{Real, dot};
 use lobelia_sg::{accurate::diffuse::cosine_integral, brdf::ndf_sharpness, sg::sphere_integral};
-use std::ops::Range;
 
 /// Least sharpness of a lobe.
 const LEAST_LOBE: f32 = 1e-6;

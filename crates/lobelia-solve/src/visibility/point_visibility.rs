@@ -7,10 +7,9 @@
 use crate::prelude::*;
 use crate::visibility::occlusion::{Bounce, Cones, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe, widened};
 use crate::visibility::texel_visibility::{MAX_DIRECTIONS, OFFSET, TOGETHER, TexelVisibility};
-use fearless_simd::{Level, Simd, dispatch};
-use lobelia_sg::ray::{Hit, Intersect};
+use fearless_simd::Simd;
 use lobelia_sg::real::{Real, dot};
-use lobelia_sg::{brdf::ndf_sharpness, color::luminance, lanes::Lanes};
+use lobelia_sg::{brdf::ndf_sharpness, color::luminance, lanes::Lanes, ray::Hit};
 use std::{f32::consts::PI, sync::LazyLock};
 
 /// Directions contribute to specular light where the BRDF lobe is above e to the power of minus this.

@@ -7,12 +7,10 @@ use super::object_visibility::{Made, ObjectVisibility, WindowVisibility};
 use super::{occlusion::Reflectance, point_visibility::LobeRays};
 use crate::prelude::*;
 use bevy_ecs::prelude::{Changed, Or, SystemCondition};
-use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
-use lobelia_world::light::lights::IncidentLight;
 use lobelia_world::material::material_source::{
-    BaseMaterials, ColumnOf, Holds, MaterialSource, MaterialTexels, RecoveredMaterial, ShownMaterial,
+    ColumnOf, Holds, MaterialSource, MaterialTexels, RecoveredMaterial, ShownMaterial,
 };
-use lobelia_world::{material::sheen::mean_albedo, sample::LightRotations, sample::point::PointBlend};
+use lobelia_world::{material::sheen::mean_albedo, sample::LightRotations};
 use std::any::TypeId;
 
 /// Whether this step of a fit updates shadows and interreflection; a fit does so every few steps.

@@ -11,7 +11,6 @@
 
 use crate::prelude::*;
 use lobelia_geometry::mesh::atlas::TexelAtlas;
-use lobelia_sg::ray::Intersect;
 
 /// Most directions.
 pub(crate) const MAX_DIRECTIONS: usize = 4096;

@@ -26,8 +26,7 @@ use crate::prelude::*;
 use crate::shape::pictures::TrainingView;
 use crate::shape::shell::{Shell, VertexGraph};
 use lobelia_geometry::view::raster::bilinear;
-use lobelia_world::light::placement::PlacedFrame;
-use std::{f32::consts::TAU, ops::ControlFlow};
+use std::f32::consts::TAU;
 
 /// Angles around a normal that are tried, in degrees, and rings of directions within them: first around the mesh's, then around the best.
 const ROUNDS: [(f32, usize); 4] = [(25.0, 5), (8.0, 2), (6.0, 2), (4.0, 2)];

@@ -2,7 +2,7 @@ use super::*;
 use crate::shape::test_support::{Pictures, meets_ball};
 use lobelia_geometry::mesh::primitive::sphere_mesh;
 use lobelia_sg::fibonacci::fibonacci_axes;
-use lobelia_world::light::{light_frame::LightFrame, placement::PlacedFrame};
+use lobelia_world::light::light_frame::LightFrame;
 
 const PIXELS: u32 = 160;
 

@@ -19,13 +19,11 @@ use crate::shape::systems::{
 use crate::shape::unseen::{SPANNED_CELLS, span_unseen};
 use crate::{fit::exposure::Exposures, fit::light_turns, shape::pictures::TrainingView};
 use lobelia_geometry::sdf::volume::{SdfSurface, TexelVolume};
-use lobelia_geometry::view::{Split, ViewMask, ViewName};
-use lobelia_world::checkpoint;
+use lobelia_geometry::view::{Split, ViewMask};
 use lobelia_world::checkpoint::{Span, has_part_ahead, keep_part, take_part};
-use lobelia_world::material::{DiffuseTilt, MAX_SPECULAR_LOBES, sheen::KnownAlong, spawn_texels};
-use lobelia_world::{light::placement::PlacedFrame, pipeline::pool::despawn_rows};
+use lobelia_world::material::{sheen::KnownAlong, spawn_texels};
+use lobelia_world::{checkpoint, pipeline::pool::despawn_rows};
 use rand::{SeedableRng, rngs::SmallRng, seq::SliceRandom};
-use std::{ops::ControlFlow, sync::Arc};
 
 /// Distance from a silhouette, in pixels, within which silhouette rays are cast.
 const SILHOUETTE_REACH: f32 = 6.0;

@@ -21,7 +21,6 @@ use crate::shape::outline::{outline_votes, within_room};
 use crate::shape::pictures::{MatchPicture, Seen, TrainingView, focal, picture_factor};
 use crate::shape::shell::{Plate, Shell, VertexGraph, area_vector};
 use crate::shape::{field::ModelError, silhouette::Silhouette};
-use std::ops::ControlFlow;
 use sweep::{Matched, Sweep, neighbors, sweep};
 
 /// From coarse to fine: size of a pixel relative to the finest picture's, and the search around the mesh.
