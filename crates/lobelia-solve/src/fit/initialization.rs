@@ -116,6 +116,7 @@ fn with_groups<T>(
     run: impl FnOnce(&mut [Initialization]) -> Result<T>,
 ) -> Result<T> {
     let lights = light_groups(world);
+    let Known { in_part, placement, .. } = known;
     let frame = PlacedFrame::own(world);
     let mut state = SystemState::<Inputs>::new(world);
     let (observations, views) = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?;
@@ -126,9 +127,8 @@ fn with_groups<T>(
     let turns = light_rotations(&frame, views.into_iter());
     let observations = observations.columns()?;
     let of = |row: &Observation| placements.get(row.pixel.view).copied();
-    let chosen: Option<Vec<Observation>> = known
-        .placement
-        .map(|only| observations.iter().filter(|row| of(row) == Some(only)).copied().collect());
+    let chosen: Option<Vec<Observation>> =
+        placement.map(|only| observations.iter().filter(|row| of(row) == Some(only)).copied().collect());
     let all = chosen.as_deref().unwrap_or(&observations);
     // Rows are in the order of their groups.
     let of_group = |number: usize| {
@@ -136,8 +136,7 @@ fn with_groups<T>(
         let rest = &all[all.partition_point(|row| light(row) < number)..];
         &rest[..rest.partition_point(|row| light(row) == number)]
     };
-    let part =
-        |all| known.in_part.then(|| part_of_surface(all)).flatten().map_or(Cow::Borrowed(all), Cow::Owned);
+    let part = |all| in_part.then(|| part_of_surface(all)).flatten().map_or(Cow::Borrowed(all), Cow::Owned);
     let parts: Vec<Cow<[Observation]>> = (0..lights).map(of_group).map(part).collect();
     let problem = |observations| {
         let known = Known { object: known.object.as_ref().map(ObjectVisibility::unlit), ..known };

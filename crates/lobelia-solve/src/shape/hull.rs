@@ -325,7 +325,7 @@ fn mark_trusted(silhouettes: &mut [Silhouette], surface: &SdfGrid) {
     };
     let values = (0..surface.values.len()).into_par_iter().map(carved).collect();
     let carved = SdfGrid { values, ..*surface };
-    let check = |view: &Silhouette| taken_pixels(view, silhouettes, surface, &carved);
+    let check = |view: &Silhouette| takers(view, silhouettes, surface, &carved);
     let checks: Vec<(usize, Vec<usize>)> = silhouettes.par_iter().map(check).collect();
     let most = TAKEN_SHARE * checks.iter().map(|(checked, _)| *checked as f32).sum::<f32>();
     let mut taken = vec![0; silhouettes.len()];
@@ -336,12 +336,7 @@ fn mark_trusted(silhouettes: &mut [Silhouette], surface: &SdfGrid) {
 
 /// The number of pixels of a view that were checked, and for each of them whose ray meets the surface, but nothing once it is carved, the
 /// rows of the views that carve there.
-fn taken_pixels(
-    view: &Silhouette,
-    all: &[Silhouette],
-    surface: &SdfGrid,
-    carved: &SdfGrid,
-) -> (usize, Vec<usize>) {
+fn takers(view: &Silhouette, all: &[Silhouette], surface: &SdfGrid, carved: &SdfGrid) -> (usize, Vec<usize>) {
     let depth = CHECK_DEPTH.max(CHECK_CELLS * view.cell_pixels(surface));
     let (mut checked, mut takers) = (0, Vec::new());
     let pixels = (0..view.pixel_count()).step_by(CHECK_STRIDE);

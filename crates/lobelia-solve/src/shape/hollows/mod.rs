@@ -25,7 +25,7 @@ use crate::shape::{cube, flood, hull::extract_parts, is_border, neighbors, shell
 use crate::{shape::silhouette::Silhouette, shape::stereo::pattern_shares};
 use compare::{SINE, around, compare};
 use evidence::emptiness;
-use radiance_field::{FieldRay, fit};
+use radiance_field::{FieldRay, FieldRays, fit};
 
 /// Pixels of a picture per cell of the grid.
 const PIXELS_PER_CELL: f32 = 1.5;
@@ -101,9 +101,9 @@ pub(super) fn look_through(
         let seen = (0..).zip(seen).filter(|(_, seen)| seen.distance.is_finite());
         seen.map(move |(place, seen)| FieldRay { picture, place, surface: seen.distance })
     };
-    let rays: Vec<FieldRay> = (0..).zip(cast_all(&bvh, &pictures)).flat_map(of_picture).collect();
-    let field = fit(grid, &pictures, &rays);
-    let empty = emptiness(grid, &field, &pictures, &rays);
+    let rays = (0..).zip(cast_all(&bvh, &pictures)).flat_map(of_picture).collect();
+    let rays = FieldRays { pictures: &pictures, rays };
+    let empty = emptiness(grid, &fit(grid, &rays), &rays);
     if is_stopping() || empty.iter().all(|empty| *empty <= 0.0) {
         return (0.0, None);
     }

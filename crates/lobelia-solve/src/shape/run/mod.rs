@@ -73,11 +73,9 @@ impl Plugin for ShapePlugin {
             .swap(Phase::FitStep, Slot::ShapeGradient, gradients)
             .swap(Phase::FitStep, Slot::ShapeUpdate, move_bricks);
         if self.cameras {
-            pipeline.swap(Phase::FitStep, Slot::Recast, recast_silhouettes).swap(
-                Phase::FitStep,
-                Slot::CameraGradient,
-                (align_photographs, align_silhouettes).chain(),
-            );
+            let align = (align_photographs, align_silhouettes).chain();
+            pipeline.swap(Phase::FitStep, Slot::Recast, recast_silhouettes);
+            pipeline.swap(Phase::FitStep, Slot::CameraGradient, align);
             pipeline.world.resource_mut::<CameraFit>().object_moves = true;
         }
     }
