@@ -105,10 +105,6 @@ pub(crate) fn with_initialization<T>(
     with_groups(world, known, |problems| run(&mut problems[0]))
 }
 
-type Views<'w, 's> =
-    Query<'w, 's, (&'static ViewIndex, &'static Camera, Option<&'static Placement>), With<Photograph>>;
-type Inputs<'w, 's> = (Observations<'w, 's>, Views<'w, 's>);
-
 /// Calls `run` with the data of the initialization of each group of photographs, in order.
 fn with_groups<T>(
     world: &mut World,
@@ -118,14 +114,15 @@ fn with_groups<T>(
     let lights = light_groups(world);
     let Known { in_part, placement, .. } = known;
     let frame = PlacedFrame::own(world);
-    let mut state = SystemState::<Inputs>::new(world);
-    let (observations, views) = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?;
+    let mut views = world.query_filtered::<(&ViewIndex, &Camera, Option<&Placement>), With<Photograph>>();
+    let views = views.iter(world);
     let views: Vec<(ViewIndex, Camera, Placement)> =
-        views.iter().map(|(index, camera, of)| (*index, *camera, of.copied().unwrap_or_default())).collect();
+        views.map(|(index, camera, of)| (*index, *camera, of.copied().unwrap_or_default())).collect();
     let cameras: ByView<Camera> = views.iter().map(|(index, camera, _)| (*index, *camera)).collect();
     let placements: ByView<Placement> = views.iter().map(|(index, _, of)| (*index, *of)).collect();
     let turns = light_rotations(&frame, views.into_iter());
-    let observations = observations.columns()?;
+    let mut state = SystemState::<Observations>::new(world);
+    let observations = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?.columns()?;
     let of = |row: &Observation| placements.get(row.pixel.view).copied();
     let chosen: Option<Vec<Observation>> =
         placement.map(|only| observations.iter().filter(|row| of(row) == Some(only)).copied().collect());

@@ -168,10 +168,7 @@ mod tests {
             |albedo: f32| Metals::of([(0, &SpecularLobe::new(Vec3::splat(albedo), 0.2)), (1, &VARNISH)]);
         assert!(metals(0.95).level_derivative(0.5, USUAL_ALBEDO).abs() < 1e-6);
         assert!(metals(0.6).level_derivative(0.5, USUAL_ALBEDO) > 0.0, "a dark metal asks for less light");
-        assert!(
-            metals(0.6).level_derivative(0.01, 0.8) < 0.0,
-            "of which a little does not outweigh white paint"
-        );
+        assert!(metals(0.6).level_derivative(0.01, 0.8) < 0.0, "a little does not outweigh white paint");
         assert_eq!(metals(0.1).level_derivative(0.0, 0.8), 0.0, "two kinds of paint say nothing");
     }
 

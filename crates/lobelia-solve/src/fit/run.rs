@@ -35,7 +35,8 @@ use crate::fit::systems::{
 use crate::fit::{metal::bound_diffuse_albedo, priors::follow_maps};
 use crate::prelude::*;
 use crate::shade::frame::{add_gathering, add_material_resources};
-use crate::visibility::{FitVisibilityPlugin, ObjectVisibility, systems::RefreshDue};
+use crate::visibility::systems::{RefreshDue, see_material_of_step};
+use crate::visibility::{ObjectVisibility, WindowVisibility};
 use crate::{fit::initialization::initialize_light_and_albedo, shade::shade_closed_form};
 use bevy_ecs::{prelude::Bundle, query::QueryFilter};
 use lobelia_world::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_resource};
@@ -211,14 +212,9 @@ impl Plugin for FitPlugin {
         OWN_RESOURCES.iter().for_each(|own| own(&mut pipeline.world, true));
         add_material_resources::<RecoveredMaterial>(&mut pipeline.world);
         pipeline.add_systems(Phase::Prepare, Stage::Trace, trace_pixels);
-        let loss = (
-            check_shading,
-            find_exposures.run_if(step_is_sound),
-            compare_with_photographs,
-            check_loss,
-            note_residuals.run_if(step_is_sound),
-            sum_by_view.run_if(step_is_sound),
-        );
+        let exposures = find_exposures.run_if(step_is_sound);
+        let residuals = (note_residuals, sum_by_view).chain().run_if(step_is_sound);
+        let loss = (check_shading, exposures, compare_with_photographs, check_loss, residuals);
         let scatter = (scatter_to_texels, scatter_to_sheen, scatter_to_blends);
         let check = check_adjoints.after(Slot::ShadingAdjoint).before(ScatterAdjoints);
         // A run replaces the systems that shade by those of its closed form.
@@ -410,9 +406,10 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     pipeline.swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(options.form));
     let pixels = make_pool(pipeline)?;
     let shadowed = options.visibility && pipeline.world.contains_resource::<ObjectVisibility>();
-    pipeline.remove_plugin::<FitVisibilityPlugin>();
+    pipeline.clear(Phase::FitStep, Slot::Visibility);
+    pipeline.world.insert_resource(WindowVisibility::default());
     if shadowed {
-        pipeline.add_plugin(&FitVisibilityPlugin);
+        pipeline.swap(Phase::FitStep, Slot::Visibility, see_material_of_step());
     }
     if !options.done.is_pause {
         count_pool(&mut pipeline.world);

@@ -295,13 +295,9 @@ mod tests {
     }
 
     #[test]
-    fn a_sheen_is_seen_in_views_kept_aside() {
+    fn a_sheen_is_seen_in_views_kept_aside_and_neither_a_wrong_albedo_nor_noise_is_taken_for_one() {
         assert!(evidence(0.1, 0.3, 0.02).explained_part() > 0.7);
         assert!(evidence(0.1, 0.3, 0.2).explained_part() > CONVINCING);
-    }
-
-    #[test]
-    fn neither_a_wrong_albedo_nor_noise_is_taken_for_a_sheen() {
         assert!(evidence(0.3, 0.0, 0.02).explained_part() < CONVINCING);
         assert!(evidence(0.0, 0.0, 0.2).explained_part() < CONVINCING);
         assert_eq!(evidence(0.0, 0.0, 0.0).explained_part(), 0.0);

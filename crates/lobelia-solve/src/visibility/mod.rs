@@ -23,4 +23,4 @@ pub mod texel_visibility;
 pub use object_visibility::{ObjectVisibility, VisibilitySettings, WindowVisibility};
 pub use occlusion::Reflectance;
 pub use point_visibility::LobeRays;
-pub use systems::{FitVisibilityPlugin, FrameVisibilityPlugin};
+pub use systems::FrameVisibilityPlugin;

@@ -31,28 +31,16 @@ impl Plugin for FrameVisibilityPlugin {
     }
 }
 
-/// Shadows and interreflection of the recovered material in the FitStep phase, updated if [`RefreshDue`] is set; needs an [`ObjectVisibility`].
-pub struct FitVisibilityPlugin;
-
-impl Plugin for FitVisibilityPlugin {
-    fn build(&self, pipeline: &mut Pipeline) {
-        pipeline.world.init_resource::<WindowVisibility>();
-        pipeline.world.insert_resource(RefreshDue(true));
-        let refresh = refresh_visibility::<RecoveredMaterial>
-            .run_if(refresh_is_due.and_then(light_or_material_changed::<RecoveredMaterial>));
-        pipeline.swap(Phase::FitStep, Slot::Visibility, (refresh, gather_visibility::<true>).chain());
-    }
-
-    fn cleanup(world: &mut World) {
-        world.insert_resource(WindowVisibility::default());
-        world.remove_resource::<RefreshDue>();
-    }
-}
-
 /// Shadows and interreflection of a material, updated whenever it or the light has changed.
 pub(crate) fn see_material<M: MaterialSource>() -> ScheduleConfigs<ScheduleSystem> {
     let refresh = refresh_visibility::<M>.run_if(light_or_material_changed::<M>);
     (refresh, gather_visibility::<false>).chain()
+}
+
+/// Shadows and interreflection of the recovered material in a step of a fit, updated if [`RefreshDue`] is set; needs an [`ObjectVisibility`].
+pub(crate) fn see_material_of_step() -> ScheduleConfigs<ScheduleSystem> {
+    let is_due = refresh_is_due.and_then(light_or_material_changed::<RecoveredMaterial>);
+    (refresh_visibility::<RecoveredMaterial>.run_if(is_due), gather_visibility::<true>).chain()
 }
 
 /// Run condition: whether this step of a fit updates visibility, or the set of lobes has changed.
