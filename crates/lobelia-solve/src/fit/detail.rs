@@ -22,7 +22,8 @@ use crate::fit::observe::{observed_in, spawn_samples, usable_by_view, usable_pix
 use crate::fit::{components::TexelSeen, exposure::Exposures, metal::Metals};
 use crate::prelude::*;
 use crate::shade::frame::{add_gathering, add_material_resources, trace_samples};
-use crate::{shade::shade_closed_form, visibility::WindowVisibility, visibility::systems::see_material};
+use crate::shade::shade_closed_form;
+use crate::visibility::{WindowVisibility, see_material};
 use bytemuck::{Pod, Zeroable};
 use glam::Mat2;
 use half::f16;

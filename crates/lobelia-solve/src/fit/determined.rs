@@ -85,7 +85,8 @@ pub(crate) fn measure(
     let object = traced(world, shadowed);
     let known = Known { form, specular: *specular, unknowns, object, in_part: true, placement: None };
     let merged = MergedLobes::new(&LobeColumns::from_lobes(lobes.iter().map(Into::into)), MOST_LOBES);
-    let evidence = with_initialization(world, known, |of| gather_evidence(of, &lobes, &merged, &texels));
+    let evidence =
+        with_initialization(world, known, |of| gather_evidence(&mut of[0], &lobes, &merged, &texels));
     let shares = power_shares(&lobes, &merged);
     Ok(evidence?.and_then(|evidence| determined(&evidence, &shares, unknowns)))
 }
@@ -596,8 +597,7 @@ mod tests {
                 variance: 1.0,
             };
             let share = 1.0 / lobes as f64;
-            let brightness: Vec<f64> =
-                (0..n).map(|i| if i < 3 * lobes { share / 3.0 } else { 0.0 }).collect();
+            let brightness: Vec<_> = (0..n).map(|i| if i < 3 * lobes { share / 3.0 } else { 0.0 }).collect();
             let red: Vec<f64> = (0..n)
                 .map(|i| match i / lobes {
                     0 => share * 2.0 / 3.0,

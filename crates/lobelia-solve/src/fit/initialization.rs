@@ -61,7 +61,7 @@ pub(crate) fn initialize_light_and_albedo(
     let mut texels = recovered_albedo(world)?;
     let object = traced(world, shadowed);
     let known = Known { form, specular, unknowns, object, in_part: false, placement: None };
-    with_groups(world, known, |problems| alternate(problems, &mut lights, &mut texels))?;
+    with_initialization(world, known, |problems| alternate(problems, &mut lights, &mut texels))?;
     for (group, lobes) in groups.into_iter().zip(&lights) {
         exchange_light(world, group);
         for (entity, lobe) in lobes_of(world).0.into_iter().zip(lobes) {
@@ -96,17 +96,8 @@ pub(crate) struct Known {
     pub placement: Option<Placement>,
 }
 
-/// Calls `run` with the data of the initialization, of the photographs under the scene's own light.
+/// Calls `run` with the data of the initialization of each group of photographs, in order; the first are those under the scene's own light.
 pub(crate) fn with_initialization<T>(
-    world: &mut World,
-    known: Known,
-    run: impl FnOnce(&mut Initialization) -> Result<T>,
-) -> Result<T> {
-    with_groups(world, known, |problems| run(&mut problems[0]))
-}
-
-/// Calls `run` with the data of the initialization of each group of photographs, in order.
-fn with_groups<T>(
     world: &mut World,
     known: Known,
     run: impl FnOnce(&mut [Initialization]) -> Result<T>,

@@ -103,8 +103,7 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
     // In parts: all points beside the pool would be half of it.
     for part in chosen.chunks(TRACED_AT_ONCE) {
         check_interrupted()?;
-        let training: ByView<ObservedView> =
-            training_views(world).into_iter().map(|view| (view.index, view)).collect();
+        let training: ByView<_> = training_views(world).into_iter().map(|view| (view.index, view)).collect();
         let observe = |pixel: &PixelOf| -> Result<Option<(Observation, ObservedGradient)>> {
             let (Some(point), view) = (trace(pixel)?, training.of(pixel.view)?) else { return Ok(None) };
             let gradient = if gradients { view.gradient(pixel.pixel as usize) } else { ImageGradient(None) };
@@ -112,8 +111,7 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
             Ok(Some((Observation { pixel: *pixel, observed, point }, ObservedGradient(gradient))))
         };
         let met: Vec<Option<_>> = part.par_iter().map(observe).collect::<Result<_>>()?;
-        let observations: Vec<(ObservationIndex, (Observation, ObservedGradient))> =
-            (rows..).map(ObservationIndex).zip(met.into_iter().flatten()).collect();
+        let observations: Vec<_> = (rows..).map(ObservationIndex).zip(met.into_iter().flatten()).collect();
         rows += observations.len() as u32;
         if gradients {
             world.spawn_batch(observations);

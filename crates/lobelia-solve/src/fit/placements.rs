@@ -194,7 +194,7 @@ pub(crate) fn find_placements(world: &mut World, unknowns: Unknowns, form: Close
             let placement = (round == 0).then_some(Placement(0));
             let (mut texels, specular) = (recovered_albedo(world)?, least_rough(world));
             let known = Known { form, specular, unknowns, object: None, in_part: true, placement };
-            with_initialization(world, known, |problem| problem.alternate(&mut lobes, &mut texels))?;
+            with_initialization(world, known, |problems| problems[0].alternate(&mut lobes, &mut texels))?;
         }
         for number in open.iter().copied() {
             check_interrupted()?;
@@ -227,8 +227,8 @@ fn turn_of(
     let specular = least_rough(world);
     let known = Known { form, specular, unknowns, object: None, in_part: true, placement: None };
     let placements = world.resource::<Placements>().clone();
-    with_initialization(world, known, |problem| {
-        let aligned = Aligned::new(problem, (frame, lobes), &placements, number)?;
+    with_initialization(world, known, |problems| {
+        let aligned = Aligned::new(&problems[0], (frame, lobes), &placements, number)?;
         Ok(match turn.source {
             TurnSource::Unknown => aligned.found()?,
             _ => aligned.improved(turn.room_from_object, STEPS[2], PIXELS[1]).0,

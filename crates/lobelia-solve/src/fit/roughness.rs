@@ -247,25 +247,21 @@ pub struct RoughnessPrior {
 }
 
 impl RoughnessPrior {
-    /// The prior for the texels of an atlas.
+    /// The prior for the texels of an atlas: neighbors are side by side in the texture and near each other on the surface.
     pub fn new(atlas: &TexelAtlas, smoothness: f32, color_width: f32, varied_specular: bool) -> Self {
-        Self { smoothness, color_width, varied_specular, neighbors: neighbors(atlas) }
+        let (width, height) = (atlas.width as usize, atlas.height as usize);
+        let all = (0..width * height).flat_map(|i| {
+            let right = (i % width + 1 < width).then_some([i, i + 1]);
+            let down = (i + width < width * height).then_some([i, i + width]);
+            [right, down].into_iter().flatten()
+        });
+        let covered: Vec<[usize; 2]> = all.filter(|[a, b]| atlas.covered[*a] && atlas.covered[*b]).collect();
+        let distance = |[a, b]: &[usize; 2]| atlas.position[*a].distance(atlas.position[*b]);
+        let mean = covered.iter().map(distance).sum::<f32>() / covered.len().max(1) as f32;
+        let near = covered.iter().filter(|pair| distance(pair) < NEAR * mean);
+        let neighbors = near.map(|[a, b]| [*a as u32, *b as u32]).collect();
+        Self { smoothness, color_width, varied_specular, neighbors }
     }
-}
-
-/// Texels side by side in the texture and near each other on the surface.
-fn neighbors(atlas: &TexelAtlas) -> Vec<[u32; 2]> {
-    let (width, height) = (atlas.width as usize, atlas.height as usize);
-    let all = (0..width * height).flat_map(|i| {
-        let right = (i % width + 1 < width).then_some([i, i + 1]);
-        let down = (i + width < width * height).then_some([i, i + width]);
-        [right, down].into_iter().flatten()
-    });
-    let covered: Vec<[usize; 2]> = all.filter(|[a, b]| atlas.covered[*a] && atlas.covered[*b]).collect();
-    let distance = |[a, b]: &[usize; 2]| atlas.position[*a].distance(atlas.position[*b]);
-    let mean = covered.iter().map(distance).sum::<f32>() / covered.len().max(1) as f32;
-    let near = covered.iter().filter(|pair| distance(pair) < NEAR * mean);
-    near.map(|[a, b]| [*a as u32, *b as u32]).collect()
 }
 
 /// Adds the gradient of the prior to the first two entries of each texel's gradient.

@@ -35,8 +35,7 @@ use crate::fit::systems::{
 use crate::fit::{metal::bound_diffuse_albedo, priors::follow_maps};
 use crate::prelude::*;
 use crate::shade::frame::{add_gathering, add_material_resources};
-use crate::visibility::systems::{RefreshDue, see_material_of_step};
-use crate::visibility::{ObjectVisibility, WindowVisibility};
+use crate::visibility::{ObjectVisibility, RefreshDue, WindowVisibility, see_material_of_step};
 use crate::{fit::initialization::initialize_light_and_albedo, shade::shade_closed_form};
 use bevy_ecs::{prelude::Bundle, query::QueryFilter};
 use lobelia_world::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_resource};

@@ -110,7 +110,8 @@ fn errors(
         for at in near(&errors) {
             world.insert_resource(OwnLightFrame(frames[at]));
             let known = Known { form, specular: tried[0], unknowns, object: None, in_part: true, placement };
-            with_initialization(world, known, |problem| {
+            with_initialization(world, known, |problems| {
+                let problem = &mut problems[0];
                 for lobe in tried {
                     let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
                     problem.known.specular = *lobe;
