@@ -11,8 +11,9 @@
 //! times as large (`docs/research/fit.md`), so the deviations are multiplied by it.
 
 use crate::fit::initialization::{Initialization, Known, extent, lobes_of, traced, with_initialization};
+use crate::fit::{components::Unknowns, loss::radiance, run::FitOptions};
 use crate::prelude::*;
-use crate::{fit::components::Unknowns, fit::loss::radiance, shade::systems::kernel_specular};
+use crate::shade::systems::kernel_specular;
 use lobelia_sg::linear::{cholesky, solve_factored};
 use lobelia_sg::{fibonacci::fibonacci_axes, sg::sphere_integral, shading::RESPONSE_ROWS};
 use std::{collections::HashMap, f32::consts::FRAC_1_PI};
@@ -69,12 +70,8 @@ impl Determined {
 
 /// Measures it with the observations of a fit, of several groups those of the first, under the light, albedo and material that the world has
 /// now. `None` with several base materials, without pixels, or where no inverse can be found.
-pub(crate) fn measure(
-    world: &mut World,
-    unknowns: Unknowns,
-    form: ClosedForm,
-    shadowed: bool,
-) -> Result<Option<Determined>> {
+pub(crate) fn measure(world: &mut World, options: &FitOptions) -> Result<Option<Determined>> {
+    let FitOptions { unknowns, form, visibility: shadowed, .. } = *options;
     let materials = recovered_materials(world);
     let [(_, specular)] = materials.as_slice() else { return Ok(None) };
     if !unknowns.light && !unknowns.specular_albedo && !unknowns.roughness {

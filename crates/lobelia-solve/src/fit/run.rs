@@ -357,7 +357,7 @@ fn fit(
     let is_whole = summary.steps >= options.steps && !is_stopping();
     if options.measures && is_whole && !world.resource::<Exposures>().are_unknown() {
         let _measuring = info_span!("determined").entered();
-        summary.determined = measure(world, options.unknowns, options.form, options.visibility)?;
+        summary.determined = measure(world, options)?;
     }
     summary.elapsed_secs = elapsed();
     Ok(summary)
