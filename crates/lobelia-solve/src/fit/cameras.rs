@@ -57,14 +57,6 @@ impl CameraPose {
         let [rotation, translation, focal] = [turn, shift, radius].map(|size| PRIOR * size * size);
         Prior { rotation, translation, focal }
     }
-
-    /// Moves by `step`, scaled down if it is longer than [`LONGEST_MOVE`].
-    fn advance(&mut self, step: &Pose) {
-        let (turn, shift) = self.pixels();
-        let reach = |i: usize| step[i].abs() * if i < 3 { turn } else { shift };
-        let part = (LONGEST_MOVE / (0..POSE).map(reach).fold(0.0, f64::max)).min(1.0);
-        self.pose.iter_mut().zip(step).for_each(|(pose, step)| *pose += part * step);
-    }
 }
 
 /// The camera parameters that a fit optimizes.
@@ -266,7 +258,11 @@ pub fn move_cameras(
     }
     fit.log_focal += by_focal.clamp(-0.01, 0.01);
     for ((camera, pose), step) in views.iter_mut().zip(&steps) {
-        pose.advance(step);
+        // Scaled down if it is longer than the longest move.
+        let (turn, shift) = pose.pixels();
+        let reach = |i: usize| step[i].abs() * if i < 3 { turn } else { shift };
+        let part = (LONGEST_MOVE / (0..POSE).map(reach).fold(0.0, f64::max)).min(1.0);
+        pose.pose.iter_mut().zip(step).for_each(|(pose, step)| *pose += part * step);
         **camera = moved(&pose.given, &pose.pose, fit.log_focal);
         (pose.sums, pose.depth) = (PoseSums::default(), (0.0, 0));
     }

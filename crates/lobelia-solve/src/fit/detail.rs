@@ -463,18 +463,15 @@ impl TexelEquations {
             return Vec3::ZERO;
         }
         let [x, y, z] = [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| self.back(colors * self.toward(axis)));
-        let matrix = self.sides() - Mat3::from_cols(x, y, z) + Mat3::from_diagonal(Vec3::splat(still));
+        // The matrix of v⊥ v⊥ᵀ.
+        let [[xx, yy, zz], [xy, xz, yz]] = self.side_side.map(|part| part.to_array());
+        let sides = Mat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);
+        let matrix = sides - Mat3::from_cols(x, y, z) + Mat3::from_diagonal(Vec3::splat(still));
         let left = |c: usize| self.side_changes[c] - self.back(colors * self.change(c));
         let explained: Vec3 = (0..3).map(|c| left(c) * color[c]).sum();
         let change = matrix.inverse() * (explained / power - tilt * still);
         // Albedo and sheen then explain what a tilt within its bound does not.
         if change.is_finite() { (tilt + change).clamp_length_max(MOST_TILT) - tilt } else { Vec3::ZERO }
-    }
-
-    /// The matrix of v⊥ v⊥ᵀ.
-    fn sides(&self) -> Mat3 {
-        let [[xx, yy, zz], [xy, xz, yz]] = self.side_side.map(|part| part.to_array());
-        Mat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz])
     }
 
     /// Returns the terms of a tilt in the equations of albedo and sheen.

@@ -69,24 +69,20 @@ fn huber_slope(difference: Vec3) -> Vec3 {
 }
 
 /// A pixel with what its map says of it.
-struct MapPixel {
-    view: ViewIndex,
-    texels: TexelAddress,
-    value: Vec3,
-}
+type MapPixel = (ViewIndex, TexelAddress, Vec3);
 
 /// The mean of the maps on each texel, each map times the factor by which it agrees with the others best; the geometric mean of the factors is
 /// 1. A texel that no map shows has the mean of all.
 fn fuse(pixels: &[MapPixel], texels: usize) -> Vec<Vec3> {
-    let views = pixels.iter().map(|pixel| pixel.view.0 as usize + 1).max().unwrap_or(0);
+    let views = pixels.iter().map(|(view, ..)| view.0 as usize + 1).max().unwrap_or(0);
     let mut factors = vec![1.0f32; views];
     let mut means = texel_means(pixels, &factors, texels);
     for _ in 0..ROUNDS {
         let mut sums = vec![(0.0, 0.0); views];
-        for pixel in pixels {
-            let (view, mean) = (pixel.view.0 as usize, pixel.texels.blend(&means));
-            sums[view].0 += f64::from(mean.dot(pixel.value));
-            sums[view].1 += f64::from(pixel.value.length_squared());
+        for (view, texels, value) in pixels {
+            let (view, mean) = (view.0 as usize, texels.blend(&means));
+            sums[view].0 += f64::from(mean.dot(*value));
+            sums[view].1 += f64::from(value.length_squared());
         }
         let known = |sums: &&(f64, f64)| sums.0 > 0.0 && sums.1 > 0.0;
         let logs: Vec<f64> = sums.iter().filter(known).map(|sums| (sums.0 / sums.1).ln()).collect();
@@ -103,9 +99,9 @@ fn fuse(pixels: &[MapPixel], texels: usize) -> Vec<Vec3> {
 fn texel_means(pixels: &[MapPixel], factors: &[f32], texels: usize) -> Vec<Vec3> {
     let mut sums = vec![(Vec3::ZERO, 0.0f32); texels];
     let mut all = (DVec3::ZERO, 0u64);
-    for pixel in pixels {
-        let value = pixel.value * factors[pixel.view.0 as usize];
-        for (texel, weight) in pixel.texels.indices.into_iter().zip(pixel.texels.weights) {
+    for (view, of, value) in pixels {
+        let value = value * factors[view.0 as usize];
+        for (texel, weight) in of.indices.into_iter().zip(of.weights) {
             sums[texel as usize].0 += weight * value;
             sums[texel as usize].1 += weight;
         }
@@ -160,7 +156,7 @@ fn map_pixels(world: &mut World) -> Vec<MapPixel> {
     let shown = observations.iter(world).filter_map(|observation| {
         let (view, pixel) = (observation.pixel.view, observation.pixel.pixel as usize);
         let value = maps.get(view)?.at(pixel)?;
-        Some(MapPixel { view, texels: observation.point.texels, value })
+        Some((view, observation.point.texels, value))
     });
     shown.collect()
 }
@@ -202,7 +198,7 @@ mod tests {
             let at = |k: u32| (texel as u32 + k) % 4;
             let texels =
                 TexelAddress { indices: [at(0), at(1), at(2), at(3)], weights: [1.0, 0.0, 0.0, 0.0] };
-            MapPixel { view: ViewIndex((i % 3) as u32), texels, value: truth(texel) * factors[i % 3] }
+            (ViewIndex((i % 3) as u32), texels, truth(texel) * factors[i % 3])
         };
         (0..240).map(pixel).collect()
     }

@@ -142,50 +142,41 @@ struct ScaleEvidence<'a> {
     metals: Metals,
 }
 
-/// Sums over samples of derivatives of the loss with respect to the logarithm of the factor.
-#[derive(Default)]
-struct SampleSums {
-    /// Of the specular light that has the color of the light.
-    highlights: DVec3,
-    /// Of what cannot give way, because albedos are at their bound.
-    bound: DVec3,
-    /// The part of each sample that is metal, summed.
-    metal: f64,
-}
-
 impl ScaleEvidence<'_> {
     /// Derivative of the loss and its priors with respect to the logarithm of the factor: its color (three channels with a mean of 0), its level.
     fn gradient(&self, white_light: f32, off_gray: Vec3, mean_albedo: Vec3) -> Vec4 {
         let count = self.layers.len();
         let runs =
             (0..count.div_ceil(SAMPLES)).into_par_iter().map(|k| k * SAMPLES..count.min((k + 1) * SAMPLES));
-        let of_runs: Vec<SampleSums> = runs.map(|run| self.sums(run)).collect();
-        let total = |of: fn(&SampleSums) -> DVec3| of_runs.iter().map(of).sum::<DVec3>().as_vec3();
-        let (highlights, bound) = (total(|sums| sums.highlights), total(|sums| sums.bound));
-        let metal = (of_runs.iter().map(|sums| sums.metal).sum::<f64>() / count.max(1) as f64) as f32;
+        let of_runs: Vec<_> = runs.map(|run| self.sums(run)).collect();
+        let [highlights, bound] =
+            [0, 1].map(|k| of_runs.iter().map(|(by, _)| by[k]).sum::<DVec3>().as_vec3());
+        let metal = (of_runs.iter().map(|(_, metal)| metal).sum::<f64>() / count.max(1) as f64) as f32;
         let light = lamp_derivative(off_gray) + metal * WHITE_BESIDE_METAL * off_gray;
         let level = level_derivative(bound, mean_albedo)
             + LEVEL_WEIGHT * self.metals.level_derivative(metal, mean_albedo.element_sum() / 3.0);
         without_mean(highlights + white_light * light + bound).extend(level)
     }
 
-    fn sums(&self, run: Range<usize>) -> SampleSums {
-        let mut sums = SampleSums::default();
+    /// Sums over samples: derivatives of the loss with respect to the logarithm of the factor, of the specular light that has the color of the light and
+    /// of what cannot give way, because albedos are at their bound; and the part of each sample that is metal.
+    fn sums(&self, run: Range<usize>) -> ([DVec3; 2], f64) {
+        let (mut highlights, mut bound, mut metal) = (DVec3::ZERO, DVec3::ZERO, 0.0);
         let are_none = self.metals.are_none();
         for i in run {
             let (layers, adjoint) = (&self.layers[i], &self.adjoint[i]);
             let specular = specular_derivative(layers, adjoint);
-            sums.bound += bound_derivative(&self.points[i], layers, adjoint);
+            bound += bound_derivative(&self.points[i], layers, adjoint);
             if are_none {
-                sums.highlights += specular;
+                highlights += specular;
                 continue;
             }
             let blend = &self.blends[i].0;
-            sums.highlights += specular * (Vec3::ONE - self.metals.specular_share(0.0, blend)).as_dvec3();
-            sums.bound += specular * self.metals.specular_share(AT_BOUND, blend).as_dvec3();
-            sums.metal += f64::from(self.metals.share(blend));
+            highlights += specular * (Vec3::ONE - self.metals.specular_share(0.0, blend)).as_dvec3();
+            bound += specular * self.metals.specular_share(AT_BOUND, blend).as_dvec3();
+            metal += f64::from(self.metals.share(blend));
         }
-        sums
+        ([highlights, bound], metal)
     }
 }
 
