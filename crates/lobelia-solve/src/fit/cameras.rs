@@ -1,12 +1,5 @@
 //! Cameras as unknowns: the pose of each training view and one factor on all focal lengths, optimized together with the rest of a fit.
 //!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`take_gradients`] | Sample | observed pixels | [`ImageGradient`] |
-//! | [`retrace_still_surface`] | Trace, `Slot::Retrace` | rays, `Scenery` | surface points; a moving surface has its own system |
-//! | [`align_photographs`] | Gradient, `Slot::CameraGradient` | points, radiance, gradients | [`CameraPose`]: normal equations |
-//! | [`move_cameras`] | Update, `Slot::CameraUpdate` | normal equations | [`CameraPose`], cameras |
-//!
 //! The rays of a step are cast through the cameras as they are then ([`crate::fit::observe::take_observations`]).
 //!
 //! Direct image alignment (Lucas and Kanade 1981; Engel, Koltun and Cremers 2018): a surface point keeps its position and its
@@ -18,23 +11,14 @@
 //! views share are the focal length and, for an unknown object, its rotation, translation and scale as a whole. Without the latter,
 //! cameras and object could drift together; that part of the solution is not used, because the object's own fit determines it.
 
-use crate::fit::components::StepRates;
-use crate::fit::exposure::Exposures;
 use crate::fit::guard::{StepGuard, is_usable};
-use crate::fit::loss::radiance;
 use crate::fit::observe::{GradientsNeeded, take_gradients};
-use bevy_ecs::prelude::{Component, Entity, Mut, Query, Res, ResMut, Resource, With, World};
-use glam::{Affine3A, Quat, Vec2, Vec3};
-use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex, ViewName};
+use crate::fit::{components::StepRates, exposure::Exposures, loss::radiance};
+use crate::prelude::*;
+use bevy_ecs::prelude::Mut;
+use glam::{Affine3A, Quat};
 use lobelia_sg::linear::{cholesky, solve_factored};
-use lobelia_sg::ray::Intersect;
-use lobelia_sg::shading::Layers;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::pixel::{ImageGradient, Observed, PixelOf, ViewRay};
-use lobelia_world::sample::point::{Scenery, SurfacePoint};
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use lobelia_world::sample::pixel::ImageGradient;
 
 /// Steps between two moves of the cameras; their normal equations are summed over these.
 const MOVE_EVERY: u32 = 25;
@@ -60,17 +44,6 @@ pub struct CameraPose {
 }
 
 impl CameraPose {
-    fn new(given: Camera) -> Self {
-        Self { given, pose: [0.0; POSE], sums: PoseSums::default(), depth: (0.0, 0) }
-    }
-
-    /// Adds one residual at a point.
-    pub fn add(&mut self, row: &AlignedRow, noise: f32) {
-        let weight = 1.0 / (noise * row.residual.abs().max(noise));
-        self.sums.add(&row.jacobian, row.residual, weight);
-        self.depth = (self.depth.0 + f64::from(row.depth), self.depth.1 + 1);
-    }
-
     /// Motion of the image in pixels per radian, and per world unit at the object.
     fn pixels(&self) -> (f64, f64) {
         let focal = f64::from(0.5 * (self.given.focal[0] + self.given.focal[1]));
@@ -81,19 +54,8 @@ impl CameraPose {
     fn prior(&self) -> Prior {
         let (turn, shift) = self.pixels();
         let radius = 0.25 * f64::from(self.given.width.min(self.given.height));
-        Prior {
-            rotation: PRIOR * turn * turn,
-            translation: PRIOR * shift * shift,
-            focal: PRIOR * radius * radius,
-        }
-    }
-
-    /// Moves by `step`, scaled down if it is longer than [`LONGEST_MOVE`].
-    fn advance(&mut self, step: &Pose) {
-        let (turn, shift) = self.pixels();
-        let reach = |i: usize| step[i].abs() * if i < 3 { turn } else { shift };
-        let part = (LONGEST_MOVE / (0..POSE).map(reach).fold(0.0, f64::max)).min(1.0);
-        self.pose.iter_mut().zip(step).for_each(|(pose, step)| *pose += part * step);
+        let [rotation, translation, focal] = [turn, shift, radius].map(|size| PRIOR * size * size);
+        Prior { rotation, translation, focal }
     }
 }
 
@@ -150,15 +112,6 @@ impl CameraFit {
     pub fn focal_factor(&self) -> f32 {
         self.log_focal.exp() as f32
     }
-
-    /// Adds residuals of a kind (0: photographs, 1: silhouettes); returns their typical size so far.
-    pub fn observe(&mut self, kind: usize, rows: &[(ViewIndex, AlignedRow)]) -> f32 {
-        let sum: f64 = rows.iter().map(|(_, row)| f64::from(row.residual.abs())).sum();
-        let mean = ((sum / rows.len().max(1) as f64) as f32).max(1e-6);
-        let noise = &mut self.noise[kind];
-        *noise = if *noise == 0.0 { mean } else { MEMORY * *noise + (1.0 - MEMORY) * mean };
-        *noise
-    }
 }
 
 /// The systems that align cameras with the photographs, for fixed and moving surfaces.
@@ -186,17 +139,12 @@ impl Plugin for CameraPlugin {
 pub(crate) fn attach_poses(world: &mut World) {
     world.init_resource::<CameraFit>();
     let mut query = world.query_filtered::<(Entity, &Camera, Option<&CameraPose>), With<ViewName>>();
-    let attach = |(view, camera, pose): (Entity, &Camera, Option<&CameraPose>)| {
-        let kept = pose.map_or(CameraPose::new(*camera), |pose| CameraPose {
-            pose: pose.pose,
-            ..CameraPose::new(pose.given)
-        });
-        (view, kept)
+    let attach = |(view, camera, kept): (Entity, &Camera, Option<&CameraPose>)| {
+        let (given, pose) = kept.map_or((*camera, [0.0; POSE]), |kept| (kept.given, kept.pose));
+        (view, CameraPose { given, pose, sums: PoseSums::default(), depth: (0.0, 0) })
     };
     let poses: Vec<(Entity, CameraPose)> = query.iter(world).map(attach).collect();
-    for (view, pose) in poses {
-        world.entity_mut(view).insert(pose);
-    }
+    world.insert_batch(poses);
 }
 
 /// Trace: intersects the rays of the window with a surface that does not move.
@@ -207,14 +155,11 @@ pub fn retrace_still_surface(
     retrace(scenery.0.as_ref(), samples)
 }
 
-/// Intersects the rays of the window with the front of `surface`.
-pub(crate) fn retrace(
-    surface: &dyn Intersect,
-    samples: Samples<(&ViewRay, &mut SurfacePoint)>,
-) -> SystemResult {
+/// Intersects the rays of the window with the front of a surface.
+pub(crate) fn retrace(of: &dyn Intersect, samples: Samples<(&ViewRay, &mut SurfacePoint)>) -> SystemResult {
     let (rays, mut points) = samples.columns()?;
     points.par_iter_mut().zip(&*rays).with_min_len(256).for_each(|(point, ray)| {
-        let hit = surface.intersect(&ray.0, 0.0);
+        let hit = of.intersect(&ray.0, 0.0);
         *point = hit.filter(|hit| hit.normal.dot(ray.0.direction) < 0.0).into();
     });
     Ok(())
@@ -248,27 +193,38 @@ pub fn align_photographs(
         let row = AlignedRow::new(camera, points[i].position, center, gradient, residual).filter(|_| usable);
         row.map(|row| (pixels[i].view, row))
     };
-    let rows: Vec<(ViewIndex, AlignedRow)> =
-        (0..points.len()).into_par_iter().with_min_len(256).filter_map(row).collect();
-    if !are_usable(&rows, &mut guard) {
-        return Ok(());
-    }
-    fit.center = Some(center);
-    let noise = fit.observe(0, &rows);
-    for (view, row) in &rows {
-        views.of_mut(*view)?.2.add(row, noise);
+    let rows: Vec<_> = (0..points.len()).into_par_iter().with_min_len(256).filter_map(row).collect();
+    if add_rows(0, &rows, &mut fit, &mut guard, &mut views)? {
+        fit.center = Some(center);
     }
     Ok(())
 }
 
-/// Whether residuals and their derivatives are finite; else tells the guard, and none of them may be added.
-pub(crate) fn are_usable(rows: &[(ViewIndex, AlignedRow)], guard: &mut StepGuard) -> bool {
+/// Adds residuals of a kind (0: photographs, 1: silhouettes) to the normal equations of their cameras. Where one or its derivatives are not finite, it tells the
+/// guard, adds none and returns false.
+pub(crate) fn add_rows(
+    kind: usize,
+    rows: &[(ViewIndex, AlignedRow)],
+    fit: &mut CameraFit,
+    guard: &mut StepGuard,
+    views: &mut ByView<(&ViewIndex, &Camera, Mut<CameraPose>)>,
+) -> Result<bool> {
     let is_bad = |row: &AlignedRow| !is_usable(&row.jacobian) || !is_usable(&[row.residual, row.depth]);
-    let bad = rows.iter().find(|(_, row)| is_bad(row));
-    if let Some((view, _)) = bad {
+    if let Some((view, _)) = rows.iter().find(|(_, row)| is_bad(row)) {
         guard.find("the gradient", None, format!("the camera of view number {}", view.0));
+        return Ok(false);
     }
-    bad.is_none()
+    // The typical size of the residuals of this kind so far.
+    let sum: f64 = rows.iter().map(|(_, row)| f64::from(row.residual.abs())).sum();
+    let mean = ((sum / rows.len().max(1) as f64) as f32).max(1e-6);
+    let noise = &mut fit.noise[kind];
+    *noise = if *noise == 0.0 { mean } else { MEMORY * *noise + (1.0 - MEMORY) * mean };
+    for (view, row) in rows {
+        let pose = &mut views.of_mut(*view)?.2;
+        pose.sums.add(&row.jacobian, row.residual, 1.0 / (*noise * row.residual.abs().max(*noise)));
+        pose.depth = (pose.depth.0 + f64::from(row.depth), pose.depth.1 + 1);
+    }
+    Ok(true)
 }
 
 /// Update: every `MOVE_EVERY` steps, one Gauss–Newton step of all cameras; resets the sums.
@@ -288,21 +244,25 @@ pub fn move_cameras(
         camera: **camera,
     };
     let mut aligned: Vec<AlignedView> = views.iter().map(aligned).collect();
-    // There is one focal length for all views.
-    let share = if fit.unknowns == CameraUnknowns::PosesAndFocal { 1.0 / aligned.len() as f64 } else { 1e30 };
+    // There is one focal length for all views. If it is not optimized, it keeps its value from an earlier pass.
+    let (share, from) = match fit.unknowns {
+        CameraUnknowns::PosesAndFocal => (1.0 / aligned.len() as f64, fit.log_focal),
+        _ => (1e30, 0.0),
+    };
     aligned.iter_mut().for_each(|view| view.prior.focal *= share);
-    // If it is not optimized, it keeps its value from an earlier pass.
-    let from = if fit.unknowns == CameraUnknowns::PosesAndFocal { fit.log_focal } else { 0.0 };
     let center = fit.center.unwrap_or_default();
     let (mut steps, mut by_focal) = solve(&aligned, center, !fit.object_moves, from);
     if !(by_focal.is_finite() && steps.iter().flatten().all(|step| step.is_finite())) {
         // Cameras stay where they are, and their sums start again.
-        steps.fill([0.0; POSE]);
-        by_focal = 0.0;
+        (steps, by_focal) = (vec![[0.0; POSE]; views.len()], 0.0);
     }
     fit.log_focal += by_focal.clamp(-0.01, 0.01);
     for ((camera, pose), step) in views.iter_mut().zip(&steps) {
-        pose.advance(step);
+        // Scaled down if it is longer than the longest move.
+        let (turn, shift) = pose.pixels();
+        let reach = |i: usize| step[i].abs() * if i < 3 { turn } else { shift };
+        let part = (LONGEST_MOVE / (0..POSE).map(reach).fold(0.0, f64::max)).min(1.0);
+        pose.pose.iter_mut().zip(step).for_each(|(pose, step)| *pose += part * step);
         **camera = moved(&pose.given, &pose.pose, fit.log_focal);
         (pose.sums, pose.depth) = (PoseSums::default(), (0.0, 0));
     }
@@ -323,11 +283,8 @@ fn moved(given: &Camera, pose: &Pose, log_focal: f64) -> Camera {
     let [x, y, z, right, down, forward] = pose.map(|p| p as f32);
     let turn = Quat::from_scaled_axis(Vec3::new(x, y, z));
     let shift = Affine3A::from_rotation_translation(turn, Vec3::new(right, down, forward));
-    Camera {
-        world_from_camera: given.world_from_camera * shift,
-        focal: given.focal.map(|f| f * (log_focal.exp() as f32)),
-        ..*given
-    }
+    let focal = given.focal.map(|f| f * (log_focal.exp() as f32));
+    Camera { world_from_camera: given.world_from_camera * shift, focal, ..*given }
 }
 
 /// Jacobian of the projection of a world point (x, then y, in pixels) with respect to pose, log focal length, and log size of the
@@ -509,7 +466,8 @@ mod tests {
         let center = Vec3::new(-0.1, 0.2, 0.0);
         let jacobian = projection_jacobian(&given, point, center).unwrap();
         let at = |i: usize, by: f64| {
-            let pose = std::array::from_fn(|k| if k == i { by } else { 0.0 });
+            let mut pose = [0.0; POSE];
+            pose.iter_mut().skip(i).take(1).for_each(|p| *p = by);
             let focal = if i == POSE { by } else { 0.0 };
             let grown = if i > POSE { center + (point - center) * by.exp() as f32 } else { point };
             moved(&given, &pose, focal).project(grown).unwrap()
@@ -537,16 +495,18 @@ mod tests {
         (reach > 0.05).then(|| ray.origin + (along - reach.sqrt()) * ray.direction)
     }
 
-    /// Normal equations of a view of the ball: its pattern as `camera` predicts it, moved by `object`, against a photograph from
-    /// `truth`.
+    /// Normal equations of a view of the ball: its pattern as `camera` predicts it, moved by `object`, against a photograph from `truth`.
     fn equations(camera: &Camera, truth: &Camera, object: impl Fn(Vec3) -> Vec3) -> PoseSums {
         let mut sums = PoseSums::default();
         let photograph = |x: f32, y: f32| on_ball(truth, x, y).map(|p| pattern(object(p)));
         for pixel in 0..64 * 64 {
             let (x, y) = ((pixel % 64) as f32 + 0.5, (pixel / 64) as f32 + 0.5);
             let around = [(x, y), (x + 1.0, y), (x - 1.0, y), (x, y + 1.0), (x, y - 1.0)];
-            let seen = around.map(|(x, y)| photograph(x, y));
-            let [Some(here), Some(right), Some(left), Some(below), Some(above)] = seen else { continue };
+            let [Some(here), Some(right), Some(left), Some(below), Some(above)] =
+                around.map(|(x, y)| photograph(x, y))
+            else {
+                continue;
+            };
             let Some(point) = on_ball(camera, x, y) else { continue };
             let Some([by_x, by_y]) = projection_jacobian(camera, point, Vec3::ZERO) else { continue };
             let (dx, dy) = (0.5 * (right - left), 0.5 * (below - above));
@@ -563,14 +523,14 @@ mod tests {
         given: &[Camera],
         truth: &[Camera],
         known: bool,
-        object: fn(Vec3) -> Vec3,
+        object: impl Fn(Vec3) -> Vec3,
     ) -> (Vec<Pose>, f64) {
         let (mut poses, mut focal) = (vec![[0.0; POSE]; given.len()], 0.0);
         for _ in 0..8 {
             let view = |i: usize| {
-                let (camera, pose) = (moved(&given[i], &poses[i], focal), poses[i]);
-                let sums = equations(&camera, &truth[i], object);
-                AlignedView { sums, pose, prior: PRIOR, camera }
+                let camera = moved(&given[i], &poses[i], focal);
+                let sums = equations(&camera, &truth[i], &object);
+                AlignedView { sums, pose: poses[i], prior: PRIOR, camera }
             };
             let views: Vec<AlignedView> = (0..given.len()).map(view).collect();
             let (steps, change) = solve(&views, Vec3::ZERO, known, focal);
@@ -595,7 +555,8 @@ mod tests {
             let found = moved(&given[i], &poses[i], focal);
             for point in [Vec3::ZERO, 0.8 * Vec3::X, 0.8 * Vec3::Y, 0.8 * Vec3::Z] {
                 let ((x, y, _), (u, v, _)) = (found.project(point).unwrap(), truth.project(point).unwrap());
-                assert!((x - u).hypot(y - v) < 0.05, "view {i}: {x} {y} is {u} {v}");
+                let off = (x - u).hypot(y - v);
+                assert!(off < 0.05, "view {i}: {off} pixels");
             }
         }
     }
@@ -611,9 +572,15 @@ mod tests {
         };
         assert!(farthest(false) < 2e-3, "{}", farthest(false));
         assert!(farthest(true) > 5e-3, "{}", farthest(true));
-        // A view without residuals stays.
-        let (sums, pose) = (PoseSums::default(), [0.0; POSE]);
-        let view = AlignedView { sums, pose, prior: PRIOR, camera: given[0] };
-        assert_eq!(solve(&[view], Vec3::ZERO, false, 0.0), (vec![pose], 0.0));
+    }
+
+    #[test]
+    fn a_view_without_residuals_stays() {
+        let camera = camera(Vec3::X);
+        let view = AlignedView { sums: PoseSums::default(), pose: [0.0; POSE], prior: PRIOR, camera };
+        for known in [false, true] {
+            let (steps, focal) = solve(&[view], Vec3::ZERO, known, 0.0);
+            assert_eq!((steps, focal), (vec![[0.0; POSE]], 0.0));
+        }
     }
 }

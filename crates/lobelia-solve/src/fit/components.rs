@@ -2,10 +2,9 @@
 //! arrays, and the smooth reparameterization that keeps parameters in their ranges.
 
 use crate::fit::loss::{Loss, LossSums};
-use bevy_ecs::prelude::{Component, Resource};
-use glam::Vec3;
+use crate::fit::roughness::PerMaterial;
+use crate::prelude::*;
 use lobelia_sg::shading::{ChunkSums, SharedGradient, SpecularAdjoint};
-use serde::{Deserialize, Serialize};
 
 /// Gradient of the loss with respect to a texel's diffuse albedo.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
@@ -23,17 +22,9 @@ pub struct TexelSeen(pub f32);
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LobeMoments(pub Moments<7>);
 
-/// Gradient of the loss with respect to a light lobe, in the order of [`LobeMoments`].
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
-pub struct LobeGradient(pub [f32; 7]);
-
 /// Adam's moments of a specular lobe: albedo (3), roughness.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SpecularMoments(pub Moments<4>);
-
-/// Gradient of the loss with respect to a specular lobe, in the order of [`SpecularMoments`].
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
-pub struct SpecularGradient(pub [f32; 4]);
 
 /// The parameters that a fit optimizes.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Eq)]
@@ -105,6 +96,8 @@ pub struct StepGradient {
     pub shared: SharedGradient,
     /// With respect to each base material.
     pub specular: Vec<SpecularAdjoint>,
+    /// With respect to the blend weights at each sample, with several base materials.
+    pub blends: Vec<PerMaterial>,
     /// Sums over chunks with one base material, which these are the total of.
     pub(super) chunks: ChunkSums,
 }
@@ -116,10 +109,9 @@ const EPSILON: f32 = 1e-12;
 
 /// First and second moments of `N` parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(bound(serialize = "[f32; N]: Serialize", deserialize = "[f32; N]: Deserialize<'de>"))]
 pub struct Moments<const N: usize> {
-    #[serde(with = "array")]
     first: [f32; N],
-    #[serde(with = "array")]
     second: [f32; N],
 }
 
@@ -192,27 +184,6 @@ impl Bounded {
         // 1/(1 + odds against): an infinite exponential gives 0, where ∞/∞ gives NaN.
         let against = (1.0 - p) / p * (-step).exp();
         self.low + (self.high - self.low) * (1.0 / (1.0 + against)).clamp(Self::MARGIN, 1.0 - Self::MARGIN)
-    }
-}
-
-/// Arrays of any length in checkpoints, for `#[serde(with = "array")]`.
-mod array {
-    use serde::de::{Deserialize, Error};
-    use serde::{Deserializer, Serialize, Serializer};
-
-    pub fn serialize<S: Serializer, T: Serialize, const N: usize>(
-        values: &[T; N],
-        to: S,
-    ) -> Result<S::Ok, S::Error> {
-        values.as_slice().serialize(to)
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>, T: Deserialize<'de>, const N: usize>(
-        from: D,
-    ) -> Result<[T; N], D::Error> {
-        let values = Vec::<T>::deserialize(from)?;
-        let count = values.len();
-        values.try_into().map_err(|_| D::Error::custom(format!("{count} values for {N}")))
     }
 }
 

@@ -7,15 +7,6 @@
 //! over all pixels take back what this blurs (as SIRT does, Gilbert 1972). Pixels that disagree with the others of a texel, by highlights
 //! and shadows that the model does not have, count less.
 //!
-//! | system | stage, slot | writes |
-//! | --- | --- | --- |
-//! | [`show_pixels`] | Detail: Sample | the pixels of this run as samples |
-//! | `trace_samples` | Detail: Trace | where their rays meet the surface |
-//! | those of [`GatherPoints`], [`whiten_points`] | Detail: Gather | what shading needs, for a white surface |
-//! | `provide_light`, `refresh_visibility`, `gather_visibility` | Detail: `Slot::Light`, `Slot::Visibility` | light and shadows as in a fit |
-//! | `shade_closed_form` | Detail: `Slot::Shading` | diffuse radiance of a white surface, specular radiance |
-//! | [`keep_pixels`] | Detail: Gradient | [`KeptPixels`] |
-//!
 //! The equations of a texel: with light, shape and specular lobes held, the radiance of a pixel is L = (ρ + g s + ρ̄ t · v⊥) u + L_s in the albedo
 //! ρ, the sheen s ([`lobelia_world::material::sheen`]) and the tilt t ([`lobelia_world::material::tilt`]) of its texels, where g = 1 − c and u is
 //! the diffuse radiance of a white surface. A pixel with residual r then says, for changes of the albedo, the sheen and the difference ρ̄ t between
@@ -26,41 +17,23 @@
 //! All channels share the weight, that of their mean radiance, and the direction of the tilt, so that weighted least squares over the
 //! pixels of a texel needs 31 sums.
 
-use crate::fit::components::TexelSeen;
-use crate::fit::exposure::Exposures;
 use crate::fit::groups::{exchange_light, groups_of_views};
-use crate::fit::metal::Metals;
 use crate::fit::observe::{observed_in, spawn_samples, usable_by_view, usable_pixels};
+use crate::fit::{components::TexelSeen, exposure::Exposures, metal::Metals};
+use crate::prelude::*;
 use crate::shade::frame::{add_gathering, add_material_resources, trace_samples};
 use crate::shade::shade_closed_form;
-use crate::visibility::WindowVisibility;
-use crate::visibility::systems::{gather_visibility, light_or_material_changed, refresh_visibility};
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World};
+use crate::visibility::{WindowVisibility, see_material};
 use bytemuck::{Pod, Zeroable};
-use glam::{Mat2, Mat3, Vec2, Vec3};
+use glam::Mat2;
 use half::f16;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex};
 use lobelia_sg::ray::TexelAddress;
-use lobelia_sg::shading::{ClosedForm, Layers, ShadePoint};
 use lobelia_world::light::lights::{LightChoice, provide_light};
-use lobelia_world::light::placement::LightGroup;
 use lobelia_world::material::material_source::RecoveredMaterial;
 use lobelia_world::material::sheen::{KnownAlong, grazing, has_sheen, mean_albedo, write_albedo};
 use lobelia_world::material::tilt::{DirectionalAlbedo, MOST_TILT, along_surface};
-use lobelia_world::material::{
-    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, TexelIndex, recovered_materials,
-};
-use lobelia_world::pipeline::pool::{read_column, write_column};
-use lobelia_world::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::despawn_pool;
-use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay, Window};
-use lobelia_world::sample::point::SurfacePoint;
-use rayon::prelude::*;
-use std::ops::ControlFlow;
-use tracing::info_span;
+use lobelia_world::pipeline::{GatherPoints, pool::write_column};
+use lobelia_world::sample::{despawn_pool, pixel::Window};
 
 /// Sweeps over all pixels. They are cheap beside shading.
 const SWEEPS: u32 = 7;
@@ -93,8 +66,7 @@ pub struct DetailPlugin(pub DetailOptions);
 
 impl Plugin for DetailPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
-        pipeline.world.init_resource::<PresentPixels>();
-        pipeline.world.init_resource::<KeptPixels>();
+        pipeline.world.init_resource::<DetailPixels>();
         pipeline.world.init_resource::<Exposures>();
         add_material_resources::<RecoveredMaterial>(&mut pipeline.world);
         add_gathering::<RecoveredMaterial>(pipeline, Phase::Detail);
@@ -107,26 +79,22 @@ impl Plugin for DetailPlugin {
             .add_systems(Phase::Detail, Stage::Gradient, keep_pixels);
         pipeline.world.insert_resource(WindowVisibility::default());
         if self.0.visibility {
-            let refresh = refresh_visibility::<RecoveredMaterial>
-                .run_if(light_or_material_changed::<RecoveredMaterial>);
-            pipeline.swap(Phase::Detail, Slot::Visibility, (refresh, gather_visibility).chain());
+            pipeline.swap(Phase::Detail, Slot::Visibility, see_material::<RecoveredMaterial>());
         }
     }
 
     fn cleanup(world: &mut World) {
-        world.remove_resource::<PresentPixels>();
-        world.remove_resource::<KeptPixels>();
+        world.remove_resource::<DetailPixels>();
         world.insert_resource(WindowVisibility::default());
     }
 }
 
-/// The pixels of one run of the phase.
+/// The pixels of one run of the phase, and those that have been shaded.
 #[derive(Resource, Default)]
-pub struct PresentPixels(Vec<PixelOf>);
-
-/// Pixels that have been shaded.
-#[derive(Resource, Default)]
-pub struct KeptPixels(Vec<KeptPixel>);
+pub struct DetailPixels {
+    present: Vec<PixelOf>,
+    kept: Vec<KeptPixel>,
+}
 
 /// Solves for albedo, sheen and tilt of all texels: shades the pixels of the training photographs, then sweeps over them a few times.
 /// `watch` is called with the part of the work that is done. Raises [`TexelSeen`] where the sweeps see more than the fit did. A run that is
@@ -142,7 +110,7 @@ pub fn solve_detail(
     pipeline.add_plugin(&DetailPlugin(options));
     spawn_samples(&mut pipeline.world, BATCH);
     let shaded = shade_pixels(pipeline, &mut |part| watch(SHADING_PART * part));
-    let pixels = std::mem::take(&mut pipeline.world.resource_mut::<KeptPixels>().0);
+    let pixels = std::mem::take(&mut pipeline.world.resource_mut::<DetailPixels>().kept);
     despawn_pool(&mut pipeline.world);
     pipeline.remove_plugin::<DetailPlugin>();
     shaded?;
@@ -178,7 +146,7 @@ fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<(
     let every = total.div_ceil(MOST_PIXELS).max(1);
     // As many as there may be, so that growing never copies them.
     let most = views.iter().map(|(_, pixels)| pixels.div_ceil(every)).sum();
-    pipeline.world.insert_resource(KeptPixels(Vec::with_capacity(most)));
+    pipeline.world.resource_mut::<DetailPixels>().kept.reserve_exact(most);
     let mut done = 0;
     for of_group in views.chunk_by(|a, b| group_of(a) == group_of(b)) {
         let group = of_group.first().map_or(LightGroup::OWN, group_of);
@@ -189,7 +157,7 @@ fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<(
                 let pixels = usable_pixels(&mut pipeline.world, *view, every);
                 for part in pixels.chunks(BATCH).take_while(|_| !is_stopping()) {
                     pipeline.world.resource_mut::<Window>().0 = 0..part.len();
-                    pipeline.world.resource_mut::<PresentPixels>().0 = part.to_vec();
+                    pipeline.world.resource_mut::<DetailPixels>().present = part.to_vec();
                     pipeline.run(Phase::Detail)?;
                 }
             }
@@ -209,11 +177,7 @@ fn sweep(world: &mut World, pixels: &[KeptPixel], options: DetailOptions) -> Res
     let mut albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let mut sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
     let mut tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
-    let of = |texel: usize| DirectionalAlbedo {
-        albedo: albedo[texel].0,
-        sheen: sheen[texel].0,
-        tilt: tilt[texel].0,
-    };
+    let of = |i: usize| DirectionalAlbedo { albedo: albedo[i].0, sheen: sheen[i].0, tilt: tilt[i].0 };
     let is_known = world.contains_resource::<KnownAlong>();
     let mut equations = vec![TexelEquations::default(); albedo.len()];
     for part in pixels.chunks(BATCH) {
@@ -223,11 +187,8 @@ fn sweep(world: &mut World, pixels: &[KeptPixel], options: DetailOptions) -> Res
         add_pixels(part, of, is_known, &mut equations);
     }
     let (with_sheen, with_tilt) = (has_sheen(&sheen) && !is_known, options.tilt && !is_known);
-    let metals = if options.metal {
-        Metals::of(recovered_materials(world).iter().map(|(number, lobe)| (*number, lobe)))
-    } else {
-        Metals::default()
-    };
+    let materials = if options.metal { recovered_materials(world) } else { Vec::new() };
+    let metals = Metals::of(materials.iter().map(|(number, lobe)| (*number, lobe)));
     let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
     let texels = albedo.par_iter_mut().zip(&mut sheen).zip(&mut tilt);
     texels.zip(&equations).zip(&blends).with_min_len(4096).for_each(
@@ -258,7 +219,7 @@ fn sweep(world: &mut World, pixels: &[KeptPixel], options: DetailOptions) -> Res
 
 /// Sample: the pixels of this run become the samples.
 pub fn show_pixels(
-    present: Res<PresentPixels>,
+    shown: Res<DetailPixels>,
     views: Query<(&ViewIndex, &Camera, &Photograph)>,
     samples: Samples<(&mut PixelOf, &mut Observed, &mut ViewRay)>,
 ) -> SystemResult {
@@ -266,7 +227,7 @@ pub fn show_pixels(
         views.iter().map(|(index, camera, photograph)| (*index, (camera, photograph))).collect();
     let (mut pixels, mut observed, mut rays) = samples.columns()?;
     let columns = pixels.iter_mut().zip(&mut *observed).zip(&mut *rays);
-    for (((pixel, seen), ray), from) in columns.zip(&present.0) {
+    for (((pixel, seen), ray), from) in columns.zip(&shown.present) {
         let (camera, photograph) = views.of(from.view)?;
         (*pixel, *seen) = (*from, observed_in(photograph, from.pixel));
         ray.0 = camera.pixel_ray(from.pixel);
@@ -284,7 +245,7 @@ pub fn whiten_points(samples: Samples<&mut ShadePoint>) -> SystemResult {
 pub fn keep_pixels(
     exposures: Res<Exposures>,
     samples: Samples<(&SurfacePoint, &ViewRay, &Layers, &Observed, &PixelOf)>,
-    mut kept: ResMut<KeptPixels>,
+    mut detail: ResMut<DetailPixels>,
 ) -> SystemResult {
     let (points, rays, shaded, observed, pixels) = samples.columns()?;
     let shown = |i: usize| {
@@ -302,7 +263,7 @@ pub fn keep_pixels(
             })
         })
     };
-    kept.0.par_extend((0..points.len()).into_par_iter().filter_map(shown));
+    detail.kept.par_extend((0..points.len()).into_par_iter().filter_map(shown));
     Ok(())
 }
 
@@ -395,8 +356,7 @@ fn add_pixels(
     for pixel in pixels.iter().map(|kept| ShadedPixel::from(*kept)) {
         let albedo = DirectionalAlbedo::mixed(&pixel.texels, &of);
         let predicted = albedo.seen_at(pixel.facing, pixel.side) * pixel.unit + pixel.specular;
-        let difference = |c: usize| -pixel.observed.difference(c, predicted[c]);
-        let residual = Vec3::from_array(std::array::from_fn(difference));
+        let residual = -pixel.observed.differences(predicted);
         if !(pixel.unit.is_finite() && residual.is_finite()) {
             continue;
         }
@@ -416,13 +376,11 @@ fn agreement(residual: Vec3, predicted: Vec3) -> f32 {
     (1.0 + (relative / TOLERATED).powi(2)).recip()
 }
 
-/// Weight against a change of the albedo, in pixels that show the texel straight on and say that
-/// nothing changes.
+/// Weight against a change of the albedo, in pixels that show the texel straight on and say that nothing changes.
 const STILL_ALBEDO: f32 = 0.1;
 /// Weight against a change of the sheen, likewise.
 const STILL_SHEEN: f32 = 0.5;
-/// Weight against a change of the sheen, as a part of all evidence: an albedo along the surface
-/// that is hardly seen stays.
+/// Weight against a change of the sheen, as a part of all evidence: an albedo along the surface that is hardly seen stays.
 const STILL_PART: f32 = 0.01;
 
 /// Least part of the mean of the channels that a channel of the light counts with.
@@ -459,8 +417,7 @@ pub struct TexelEquations {
 }
 
 impl TexelEquations {
-    /// Adds a pixel of this weight: diffuse radiance `unit` of a white surface, g = `along`, v⊥ = `side`, and observed minus predicted
-    /// radiance.
+    /// Adds a pixel of this weight: diffuse radiance `unit` of a white surface, g = `along`, v⊥ = `side`, and observed minus predicted radiance.
     #[inline]
     fn add(&mut self, unit: Vec3, along: f32, side: Vec3, residual: Vec3, weight: f32) {
         let gray = unit.element_sum() / 3.0;
@@ -483,8 +440,7 @@ impl TexelEquations {
         (0..3).for_each(|c| self.side_changes[c] += sided * change[c]);
     }
 
-    /// The changes that explain most of the residuals. Without `sheen` it stays; so does the tilt without the mean albedo and the tilt
-    /// `before`.
+    /// The changes that explain most of the residuals. Without `sheen` it stays; so does the tilt without the mean albedo and the tilt `before`.
     fn solve(&self, sheen: bool, before: Option<(Vec3, Vec3)>) -> TexelChange {
         let one = self.one_along[0] / self.seen;
         if one.is_nan() || one <= 0.0 {
@@ -507,18 +463,15 @@ impl TexelEquations {
             return Vec3::ZERO;
         }
         let [x, y, z] = [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| self.back(colors * self.toward(axis)));
-        let matrix = self.sides() - Mat3::from_cols(x, y, z) + Mat3::from_diagonal(Vec3::splat(still));
+        // The matrix of v⊥ v⊥ᵀ.
+        let [[xx, yy, zz], [xy, xz, yz]] = self.side_side.map(|part| part.to_array());
+        let sides = Mat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz]);
+        let matrix = sides - Mat3::from_cols(x, y, z) + Mat3::from_diagonal(Vec3::splat(still));
         let left = |c: usize| self.side_changes[c] - self.back(colors * self.change(c));
         let explained: Vec3 = (0..3).map(|c| left(c) * color[c]).sum();
         let change = matrix.inverse() * (explained / power - tilt * still);
         // Albedo and sheen then explain what a tilt within its bound does not.
         if change.is_finite() { (tilt + change).clamp_length_max(MOST_TILT) - tilt } else { Vec3::ZERO }
-    }
-
-    /// The matrix of v⊥ v⊥ᵀ.
-    fn sides(&self) -> Mat3 {
-        let [[xx, yy, zz], [xy, xz, yz]] = self.side_side.map(|part| part.to_array());
-        Mat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz])
     }
 
     /// Returns the terms of a tilt in the equations of albedo and sheen.
@@ -551,7 +504,6 @@ impl TexelEquations {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec2;
     use lobelia_geometry::mesh::atlas::address;
 
     fn shaded(uv: Vec2) -> ShadedPixel {
@@ -578,8 +530,8 @@ mod tests {
                 assert!((share(&pixel, texel) - share(&again, texel)).abs() < 1e-4, "{uv} {texel}");
             }
             assert!((pixel.facing - again.facing).abs() < 1e-3 && pixel.side.abs_diff_eq(again.side, 1e-3));
-            assert_eq!((pixel.unit, pixel.specular), (again.unit, again.specular));
-            assert_eq!(pixel.observed, again.observed);
+            let parts = |of: &ShadedPixel| (of.unit, of.specular, of.observed);
+            assert_eq!(parts(&pixel), parts(&again));
         }
     }
 
@@ -611,8 +563,11 @@ mod tests {
 
     #[test]
     fn residuals_that_the_model_can_explain_are_explained() {
-        let (sheen, tilt) = (Vec3::new(-0.3, 0.2, 0.1), Vec3::new(0.4, -0.2, 0.0));
-        let truth = TexelChange { albedo: Vec3::new(0.2, -0.1, 0.3), sheen, tilt };
+        let truth = TexelChange {
+            albedo: Vec3::new(0.2, -0.1, 0.3),
+            sheen: Vec3::new(-0.3, 0.2, 0.1),
+            tilt: Vec3::new(0.4, -0.2, 0.0),
+        };
         let found = equations(truth, 1.0).solve(true, Some((COLOR, Vec3::ZERO)));
         assert!((found.albedo - truth.albedo).abs().max_element() < 0.02, "{found:?}");
         assert!((found.sheen - truth.sheen).abs().max_element() < 0.05, "{found:?}");
@@ -634,10 +589,16 @@ mod tests {
         let found = sums.solve(false, Some((COLOR, Vec3::ZERO)));
         assert!(found.albedo.length() > 0.5 * (COLOR * 0.2).length(), "{found:?}");
         assert!(found.tilt.length() < 0.25, "{found:?}");
-        // A tilt that nothing supports goes.
+    }
+
+    #[test]
+    fn a_tilt_that_nothing_supports_goes() {
         let found = equations(TexelChange::default(), 1.0).solve(true, Some((COLOR, Vec3::Z * 0.5)));
         assert!((found.tilt.z + 0.5).abs() < 1e-3, "a tilt along the normal is not seen: {found:?}");
-        // A texel that is not seen, not lit or black has none.
+    }
+
+    #[test]
+    fn a_texel_that_is_not_seen_not_lit_or_black_has_no_tilt() {
         let before = Some((COLOR, Vec3::ZERO));
         assert_eq!(TexelEquations::default().solve(true, before), TexelChange::default());
         let mut dark = TexelEquations::default();
@@ -660,17 +621,18 @@ mod tests {
         let color = Vec3::splat(0.4);
         let found = sums.solve(true, Some((color, Vec3::ZERO)));
         let by = |weight: &dyn Fn(f32, Vec3) -> f32| -> f32 {
-            let of_row = (0..).zip(&rows).map(|(i, &(u, r, w))| {
+            let row = |(i, &(u, r, w)): (u32, &(f32, f32, f32))| {
                 let (g, v) = view(40 + 7 * i, 1.0);
                 let change = found.albedo.x + found.sheen.x * g + color.x * found.tilt.dot(v);
                 w * u * weight(g, v) * (r - change * u)
-            });
-            of_row.sum()
+            };
+            (0..).zip(&rows).map(row).sum()
         };
         assert!((by(&|_, _| 1.0) - STILL_ALBEDO * one * found.albedo.x).abs() < 1e-4);
         let all = one * sums.seen;
         assert!((by(&|g, _| g) - (STILL_SHEEN * one + STILL_PART * all) * found.sheen.x).abs() < 1e-4);
-        let still = color.x * color.x * STILL_TILT * one;
-        assert!((by(&|_, v| color.x * v.x) - still * found.tilt.x).abs() < 1e-4);
+        assert!(
+            (by(&|_, v| color.x * v.x) - color.x * color.x * STILL_TILT * one * found.tilt.x).abs() < 1e-4
+        );
     }
 }

@@ -10,27 +10,13 @@
 //! The deviations are local: a fit that ended in another minimum than the truth's does not know it. Measured where the truth is known, errors are `OPTIMISM`
 //! times as large (`docs/research/fit.md`), so the deviations are multiplied by it.
 
-use crate::fit::components::Unknowns;
-use crate::fit::initialization::{Initialization, Known, lobes_of, traced, with_initialization};
-use crate::fit::loss::radiance;
+use crate::fit::initialization::{Initialization, Known, extent, lobes_of, traced, with_initialization};
+use crate::fit::{components::Unknowns, loss::radiance, run::FitOptions};
+use crate::prelude::*;
 use crate::shade::systems::kernel_specular;
-use bevy_ecs::prelude::World;
-use glam::Vec3;
-use lobelia_geometry::error::Result;
-use lobelia_sg::fibonacci::fibonacci_axes;
 use lobelia_sg::linear::{cholesky, solve_factored};
-use lobelia_sg::sg::sphere_integral;
-use lobelia_sg::shading::{
-    ClosedForm, Lighting, LobeColumns, LobeVisibility, RESPONSE_ROWS, ShadePoint, SpecularValue,
-};
-use lobelia_world::light::LightLobe;
-use lobelia_world::material::{SpecularLobe, recovered_albedo, recovered_materials};
-use lobelia_world::sample::Observation;
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
-use std::f32::consts::FRAC_1_PI;
-use std::ops::Range;
+use lobelia_sg::{fibonacci::fibonacci_axes, sg::sphere_integral, shading::RESPONSE_ROWS};
+use std::{collections::HashMap, f32::consts::FRAC_1_PI};
 
 /// Cells along the longest side of the object whose pixels have residuals that may be alike, and patches along it whose albedo has a factor.
 const CLUSTERS: f32 = 32.0;
@@ -67,12 +53,8 @@ impl Determined {
     pub fn words(&self) -> Option<String> {
         let part = |what: &str, deviation: Option<f64>| {
             let deviation = deviation?;
-            let to = if deviation > NOT_AT_ALL {
-                "not at all".to_owned()
-            } else {
-                format!("to {:.0} %", 100.0 * deviation)
-            };
-            Some(format!("{what} {to}"))
+            let known = format!("{what} to {:.0} %", 100.0 * deviation);
+            Some(if deviation > NOT_AT_ALL { format!("{what} not at all") } else { known })
         };
         let parts = [
             part("roughness", self.roughness),
@@ -88,12 +70,8 @@ impl Determined {
 
 /// Measures it with the observations of a fit, of several groups those of the first, under the light, albedo and material that the world has
 /// now. `None` with several base materials, without pixels, or where no inverse can be found.
-pub(crate) fn measure(
-    world: &mut World,
-    unknowns: Unknowns,
-    form: ClosedForm,
-    shadowed: bool,
-) -> Result<Option<Determined>> {
+pub(crate) fn measure(world: &mut World, options: &FitOptions) -> Result<Option<Determined>> {
+    let FitOptions { unknowns, form, visibility: shadowed, .. } = *options;
     let materials = recovered_materials(world);
     let [(_, specular)] = materials.as_slice() else { return Ok(None) };
     if !unknowns.light && !unknowns.specular_albedo && !unknowns.roughness {
@@ -105,7 +83,7 @@ pub(crate) fn measure(
     let known = Known { form, specular: *specular, unknowns, object, in_part: true, placement: None };
     let merged = MergedLobes::new(&LobeColumns::from_lobes(lobes.iter().map(Into::into)), MOST_LOBES);
     let evidence =
-        with_initialization(world, known, |problem| gather_evidence(problem, &lobes, &merged, &texels));
+        with_initialization(world, known, |of| gather_evidence(&mut of[0], &lobes, &merged, &texels));
     let shares = power_shares(&lobes, &merged);
     Ok(evidence?.and_then(|evidence| determined(&evidence, &shares, unknowns)))
 }
@@ -124,8 +102,8 @@ fn gather_evidence(
     let columns = LobeColumns::from_lobes(lobes.iter().map(Into::into));
     problem.refresh(&columns, texels);
     let lit = problem.lit(0..n, &columns, |point| point.texels.blend(texels))?;
-    let own = problem.specular;
-    let shade = |lobe: SpecularLobe| lit.shade(problem.form, &lobe);
+    let (form, own) = (problem.known.form, problem.known.specular);
+    let shade = |lobe: SpecularLobe| lit.shade(form, &lobe);
     let [less, more] = [-STEP, STEP].map(f32::exp);
     // Derivatives of radiance by a logarithm, from where it is a step less and a step more.
     let slopes = |low: SpecularLobe, high: SpecularLobe| -> Vec<Vec3> {
@@ -146,9 +124,9 @@ fn gather_evidence(
         Sample { diffuse: Vec3::from(here[i].diffuse), residual, weight, by_global }
     };
     let samples: Vec<Sample> = (0..n).map(sample).collect();
-    let patches = patches(&problem.observations[..n], [CLUSTERS, PATCHES], problem.unknowns.albedo);
+    let patches = patches(&problem.observations[..n], [CLUSTERS, PATCHES], problem.known.unknowns.albedo);
     let shaded = ShadedSamples {
-        form: problem.form,
+        form,
         points: &lit.points,
         specular: &kernel_specular(&own),
         lighting: lit.lighting(),
@@ -165,9 +143,8 @@ fn determined(evidence: &Evidence, shares: &[f64], unknowns: Unknowns) -> Option
     // With what is usual beside it; of nothing known it is 1.
     let reported = |direction: &[f64]| (OPTIMISM * posterior.deviation(direction)).min(1.0);
     let of_light = |weight: &dyn Fn(usize) -> f64| {
-        let direction: Vec<f64> =
-            (0..3 * count).map(|at| weight(at / count) * shares[at]).chain([0.0; 2]).collect();
-        reported(&direction)
+        let direction = (0..3 * count).map(|at| weight(at / count) * shares[at]).chain([0.0; 2]);
+        reported(&direction.collect::<Vec<f64>>())
     };
     let unit = |at: usize| -> Vec<f64> { (0..3 * count + 2).map(|i| f64::from(u8::from(i == at))).collect() };
     let color = |channel: usize| of_light(&|c| f64::from(u8::from(c == channel)) - 1.0 / 3.0);
@@ -182,13 +159,10 @@ fn determined(evidence: &Evidence, shares: &[f64], unknowns: Unknowns) -> Option
 
 /// The part that each merged lobe has of the light's mean radiance, by channel and then lobe.
 fn power_shares(lobes: &[LightLobe], merged: &MergedLobes) -> Vec<f64> {
-    let power = |channel: usize| {
-        move |lobe: &LightLobe| {
-            f64::from(lobe.amplitude[channel]) * sphere_integral(f64::from(lobe.sharpness))
-        }
-    };
     let of_channel = |channel: usize| {
-        let all = merged.sums(lobes.iter().map(power(channel)));
+        let amplitude = |lobe: &LightLobe| f64::from(lobe.amplitude[channel]);
+        let power = |lobe: &LightLobe| amplitude(lobe) * sphere_integral(f64::from(lobe.sharpness));
+        let all = merged.sums(lobes.iter().map(power));
         let total: f64 = all.iter().sum::<f64>().max(1e-30);
         all.into_iter().map(move |power| power / total)
     };
@@ -201,7 +175,7 @@ const RUNS: usize = 16;
 const LEAST_CLUSTERS: usize = 20;
 
 /// A pixel, linear RGB.
-pub(crate) struct Sample {
+struct Sample {
     /// Its diffuse radiance: what a factor on the albedo multiplies.
     pub diffuse: Vec3,
     /// Shaded minus observed radiance.
@@ -212,26 +186,21 @@ pub(crate) struct Sample {
     pub by_global: [Vec3; 2],
 }
 
+/// The range of a patch in the pixels of all, and its cluster.
+type Patch = (Range<usize>, usize);
+
 /// The pixels of each patch, and the cluster that it belongs to.
-pub(crate) struct AlbedoPatches {
+struct AlbedoPatches {
     /// Whether the albedo of a patch has a factor that nobody knows.
     pub albedo_is_unknown: bool,
     pixels: Vec<u32>,
-    /// The range of a patch in `pixels`, and its cluster.
-    patches: Vec<(Range<usize>, usize)>,
+    patches: Vec<Patch>,
     clusters: usize,
 }
 
 /// Parts of the surface by position, `fine` along the longest side, and by the octant of the normal; clusters are `coarse` along it.
-pub(crate) fn patches(
-    observations: &[Observation],
-    [coarse, fine]: [f32; 2],
-    albedo_is_unknown: bool,
-) -> AlbedoPatches {
-    let at = || observations.iter().map(|observation| observation.point.position);
-    let low = at().fold(Vec3::INFINITY, Vec3::min);
-    let high = at().fold(Vec3::NEG_INFINITY, Vec3::max);
-    let side = (high - low).max_element().max(1e-6);
+fn patches(observations: &[Observation], [coarse, fine]: [f32; 2], albedo_is_unknown: bool) -> AlbedoPatches {
+    let (low, side) = extent(observations);
     let cell = |position: Vec3, count: f32| ((position - low) * (count / side)).as_uvec3().to_array();
     let key = |observation: &Observation| {
         let point = &observation.point;
@@ -242,27 +211,24 @@ pub(crate) fn patches(
         observations.iter().enumerate().map(|(i, observation)| (key(observation), i as u32)).collect();
     keyed.sort_unstable();
     let mut known = HashMap::new();
-    let mut found: Vec<(Range<usize>, usize)> = Vec::new();
+    let mut patches: Vec<Patch> = Vec::new();
     for (i, (key, _)) in keyed.iter().enumerate() {
         if i > 0 && keyed[i - 1].0 == *key {
-            found.last_mut().expect("a patch before").0.end = i + 1;
+            patches.last_mut().expect("a patch before").0.end = i + 1;
         } else {
             let next = known.len();
-            found.push((i..i + 1, *known.entry(key.0).or_insert(next)));
+            patches.push((i..i + 1, *known.entry(key.0).or_insert(next)));
         }
     }
-    AlbedoPatches {
-        albedo_is_unknown,
-        clusters: known.len(),
-        patches: found,
-        pixels: keyed.into_iter().map(|(_, i)| i).collect(),
-    }
+    let pixels = keyed.into_iter().map(|(_, i)| i).collect();
+    AlbedoPatches { albedo_is_unknown, clusters: known.len(), patches, pixels }
 }
 
 /// The lobes that count as one: each has all of the power of near directions, and its logarithm is a parameter.
-pub(crate) struct MergedLobes {
+struct MergedLobes {
     /// For each lobe the one that it is a part of.
     of_lobe: Vec<usize>,
+    /// Number of lobes after merging.
     count: usize,
 }
 
@@ -284,11 +250,6 @@ impl MergedLobes {
         Self { of_lobe: of_lobe.collect(), count: number.len() }
     }
 
-    /// Number of lobes after merging.
-    pub fn len(&self) -> usize {
-        self.count
-    }
-
     /// Sums of a channel's values over the lobes that count as one.
     pub fn sums(&self, values: impl Iterator<Item = f64>) -> Vec<f64> {
         let mut sums = vec![0.0; self.count];
@@ -298,7 +259,7 @@ impl MergedLobes {
 }
 
 /// Shaded points with their light and material, and the samples of the photographs.
-pub(crate) struct ShadedSamples<'a> {
+struct ShadedSamples<'a> {
     pub form: ClosedForm,
     pub points: &'a [ShadePoint],
     pub specular: &'a SpecularValue,
@@ -308,7 +269,7 @@ pub(crate) struct ShadedSamples<'a> {
 }
 
 /// Curvature and gradients of half the squared error. Parameters are the lobes of red, green and blue, the specular albedo, the roughness.
-pub(crate) struct Evidence {
+struct Evidence {
     parameters: usize,
     /// Curvature, row by row.
     curvature: Vec<f64>,
@@ -326,13 +287,10 @@ struct ChannelSums {
 }
 
 /// Sums up the evidence of all patches.
-pub(crate) fn sum_up(shaded: &ShadedSamples<'_>, patches: &AlbedoPatches) -> Evidence {
-    let (lobes, samples) = (shaded.merged.len(), shaded.samples);
-    let parts: Vec<[ChannelSums; 3]> = patches
-        .patches
-        .par_chunks(patches.patches.len().div_ceil(RUNS).max(1))
-        .map(|run| sum_run(shaded, patches, run))
-        .collect();
+fn sum_up(shaded: &ShadedSamples<'_>, patches: &AlbedoPatches) -> Evidence {
+    let (lobes, samples) = (shaded.merged.count, shaded.samples);
+    let runs = patches.patches.par_chunks(patches.patches.len().div_ceil(RUNS).max(1));
+    let parts: Vec<[ChannelSums; 3]> = runs.map(|run| sum_run(shaded, patches, run)).collect();
     let parameters = 3 * lobes + 2;
     let mut curvature = vec![0.0; parameters * parameters];
     let mut gradients = vec![vec![0.0; parameters]; patches.clusters];
@@ -354,13 +312,9 @@ pub(crate) fn sum_up(shaded: &ShadedSamples<'_>, patches: &AlbedoPatches) -> Evi
     Evidence { parameters, curvature, gradients, variance: squares / (3 * samples.len().max(1)) as f64 }
 }
 
-fn sum_run(
-    shaded: &ShadedSamples<'_>,
-    patches: &AlbedoPatches,
-    run: &[(Range<usize>, usize)],
-) -> [ChannelSums; 3] {
+fn sum_run(shaded: &ShadedSamples<'_>, patches: &AlbedoPatches, run: &[Patch]) -> [ChannelSums; 3] {
     let ShadedSamples { form, points, specular, lighting, merged, samples } = *shaded;
-    let width = merged.len() + 2;
+    let width = merged.count + 2;
     let mut sums =
         std::array::from_fn(|_| ChannelSums { curvature: vec![0.0; width * width], gradients: Vec::new() });
     for (pixels, cluster) in run {
@@ -374,11 +328,8 @@ fn sum_run(
         for (channel, sums) in sums.iter_mut().enumerate() {
             let rows: Vec<&Vec<f64>> = rows.iter().map(|row| &row[channel]).collect();
             let value = |of: &dyn Fn(&Sample) -> Vec3| -> Vec<f64> {
-                pixels
-                    .iter()
-                    .map(|&i| &samples[i as usize])
-                    .map(|s| f64::from((of(s) * s.weight)[channel]))
-                    .collect()
+                let samples = pixels.iter().map(|&i| &samples[i as usize]);
+                samples.map(|s| f64::from((of(s) * s.weight)[channel])).collect()
             };
             let factor = if patches.albedo_is_unknown { Vec3::ONE } else { Vec3::ZERO };
             add_patch(sums, *cluster, &rows, &value(&|s| s.diffuse * factor), &value(&|s| s.residual));
@@ -418,8 +369,7 @@ fn add_patch(sums: &mut ChannelSums, cluster: usize, rows: &[&Vec<f64>], diffuse
     let along_residual = taken(&|n| residual[n]);
     let mut gradient = vec![0.0; width];
     for (n, row) in rows.iter().enumerate() {
-        let clean: Vec<f64> =
-            row.iter().zip(&along).map(|(value, along)| value - along * diffuse[n]).collect();
+        let clean: Vec<_> = row.iter().zip(&along).map(|(value, along)| value - along * diffuse[n]).collect();
         let left = residual[n] - along_residual * diffuse[n];
         for (i, (a, line)) in clean.iter().zip(sums.curvature.chunks_exact_mut(width)).enumerate() {
             gradient[i] += a * left;
@@ -434,7 +384,7 @@ fn add_patch(sums: &mut ChannelSums, cluster: usize, rows: &[&Vec<f64>], diffuse
 
 /// The distribution of the parameters given the photographs. To the parameters of the evidence come four that all lobes share: a factor on all light, and
 /// one on each channel. So a light of many lobes is not brighter or redder by prior than one of few.
-pub(crate) struct Posterior {
+struct Posterior {
     lobes: usize,
     /// Factor of curvature and prior.
     factor: Vec<f64>,
@@ -487,8 +437,7 @@ impl Posterior {
         let mut solved = free(&with_shared(direction, self.lobes));
         solve_factored(&self.factor, &mut solved);
         let solved = free(&solved);
-        let score =
-            |gradient: &Vec<f64>| gradient.iter().zip(&solved).map(|(g, s)| g * s).sum::<f64>().powi(2);
+        let score = |by: &Vec<f64>| by.iter().zip(&solved).map(|(g, s)| g * s).sum::<f64>().powi(2);
         let data: f64 = self.gradients.iter().map(score).sum();
         let prior: f64 = solved.iter().map(|s| (self.variance * s).powi(2)).sum();
         let clusters = self.gradients.len() as f64;
@@ -511,9 +460,7 @@ impl Posterior {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lobelia_sg::shading::{Layers, LobeColumns};
     use lobelia_sg::{brdf::Ndf, published::Lobe};
-    use lobelia_world::{light::LightLobe, sample::point::SurfacePoint};
 
     #[test]
     fn words_leave_out_what_is_given() {
@@ -521,7 +468,7 @@ mod tests {
         let (color, brightness, lobes) = (Some(0.044), Some(0.51), Some(50.7));
         let light = Determined { color, brightness, lobes, ..Determined::default() };
         let words = "color of the light to 4 %, its brightness not at all, 51 lobes of it";
-        assert_eq!(light.words().unwrap(), words);
+        assert_eq!(light.words().as_deref(), Some(words));
     }
 
     #[test]
@@ -539,15 +486,15 @@ mod tests {
 
     #[test]
     fn patches_are_near_and_turned_alike() {
-        let seen = [(0.0, 1.0), (1.0, 1.0), (0.001, 1.0), (0.001, -1.0), (0.03, 1.0)].map(|(x, facing)| {
-            let (position, normal) = (Vec3::X * x, Vec3::X * facing);
-            let point = SurfacePoint { position, normal, ..SurfacePoint::default() };
-            Observation { point, ..Observation::default() }
-        });
+        let at = |x: f32, normal: Vec3| Observation {
+            point: SurfacePoint { position: Vec3::new(x, 0.0, 0.0), normal, ..SurfacePoint::default() },
+            ..Observation::default()
+        };
+        let seen =
+            [at(0.0, Vec3::X), at(1.0, Vec3::X), at(0.001, Vec3::X), at(0.001, -Vec3::X), at(0.03, Vec3::X)];
         let patches = patches(&seen, [16.0, 128.0], true);
-        let of_patch =
-            |(run, cluster): &(Range<usize>, usize)| (patches.pixels[run.clone()].to_vec(), *cluster);
-        let found: Vec<(Vec<u32>, usize)> = patches.patches.iter().map(of_patch).collect();
+        let of = |(run, cluster): &Patch| (patches.pixels[run.clone()].to_vec(), *cluster);
+        let found: Vec<(Vec<u32>, usize)> = patches.patches.iter().map(of).collect();
         // The side of a wall that is seen from behind is a patch of its own; all but the far one are in one cluster.
         assert_eq!(found, [(vec![3], 0), (vec![0, 2], 0), (vec![4], 0), (vec![1], 1)]);
         assert_eq!(patches.clusters, 2);
@@ -555,17 +502,16 @@ mod tests {
 
     #[test]
     fn rows_of_lobes_sum_up_to_radiance() {
-        let (normal, to_viewer) = ([0.0, 0.0, 1.0], [0.6, 0.0, 0.8]);
-        let points = [ShadePoint { normal, to_viewer, albedo: [0.4, 0.3, 0.2] }];
+        let point =
+            ShadePoint { normal: [0.0, 0.0, 1.0], to_viewer: [0.6, 0.0, 0.8], albedo: [0.4, 0.3, 0.2] };
         let specular = SpecularValue { albedo: [0.1; 3], roughness: 0.4, ndf: Ndf::Sg };
-        let lobes = [(-0.5, 10.0), (0.3, 2.0), (0.9, 40.0)].map(|(x, sharpness): (f32, f32)| {
-            let axis = [x, 0.0, (1.0 - x * x).sqrt()];
-            Lobe { axis, sharpness, amplitude: [1.0, 2.0, 3.0] }
-        });
-        let columns = LobeColumns::from_lobes(lobes.into_iter());
+        let amplitude = [1.0, 2.0, 3.0];
+        let lobe = |x: f32, sharpness| Lobe { axis: [x, 0.0, (1.0 - x * x).sqrt()], sharpness, amplitude };
+        let columns =
+            LobeColumns::from_lobes([lobe(-0.5, 10.0), lobe(0.3, 2.0), lobe(0.9, 40.0)].into_iter());
         let form = ClosedForm::default();
         let mut shaded = [Layers::default()];
-        form.shade(&points, &specular, &columns, &mut shaded);
+        form.shade(&[point], &specular, &columns, &mut shaded);
         let sample = Sample {
             diffuse: Vec3::ONE,
             residual: Vec3::ZERO,
@@ -573,13 +519,13 @@ mod tests {
             by_global: [Vec3::splat(7.0), Vec3::splat(9.0)],
         };
         let mut response = vec![0.0; RESPONSE_ROWS * columns.stride()];
-        form.respond(&points, &specular, &columns, &mut response);
+        form.respond(&[point], &specular, &columns, &mut response);
         for count in [3, 2] {
             let merged = MergedLobes::new(&columns, count);
-            assert_eq!(merged.len(), count);
+            assert_eq!(merged.count, count);
             let shaded_point = ShadedSamples {
                 form,
-                points: &points,
+                points: &[point],
                 specular: &specular,
                 lighting: Lighting::from(&columns),
                 merged: &merged,
@@ -614,49 +560,53 @@ mod tests {
         // No lobe; ten thousand measurements of the first parameter with noise of variance 0.04, each a cluster; the second is given.
         let measured = 10_000;
         let noise = |i: usize| if i.is_multiple_of(2) { 0.2 } else { -0.2 };
-        let evidence = |curvature: [f64; 4], gradients| Evidence {
+        let evidence = Evidence {
             parameters: 2,
-            curvature: curvature.to_vec(),
-            gradients,
+            curvature: vec![measured as f64, 5.0, 5.0, 9.0],
+            gradients: (0..measured).map(|i| vec![noise(i), 3.0]).collect(),
             variance: 0.04,
         };
-        let curvature = [measured as f64, 5.0, 5.0, 9.0];
-        let each = (0..measured).map(|i| vec![noise(i), 3.0]).collect();
-        let posterior = evidence(curvature, each).posterior([false, true, false]).unwrap();
+        let posterior = evidence.posterior([false, true, false]).unwrap();
         let known = posterior.deviation(&[1.0, 0.0]);
         assert!((known / 0.002 - 1.0).abs() < 1e-3 && posterior.deviation(&[0.0, 1.0]) == 0.0, "{known}");
         // The same noise in a hundred clusters that are alike within.
         let gradients = (0..100).map(|i| vec![100.0 * noise(i), 0.0]).collect();
-        let alike = evidence(curvature, gradients).posterior([false, true, false]).unwrap();
+        let alike = Evidence { gradients, ..evidence }.posterior([false, true, false]).unwrap();
         assert!((alike.deviation(&[1.0, 0.0]) / 0.0201 - 1.0).abs() < 1e-2);
-        for clusters in [100, 3] {
-            let nan = evidence([f64::NAN; 4], vec![vec![0.0; 2]; clusters]);
-            assert!(nan.posterior([true; 3]).is_none());
-        }
+        let nan = |clusters| Evidence {
+            parameters: 2,
+            curvature: vec![f64::NAN; 4],
+            gradients: vec![vec![0.0; 2]; clusters],
+            variance: 1.0,
+        };
+        assert!(nan(100).posterior([true; 3]).is_none() && nan(3).posterior([true; 3]).is_none());
     }
 
     #[test]
     fn of_a_light_that_nothing_shows_nothing_is_known_however_many_lobes_it_has() {
         for lobes in [1, 100] {
             let n = 3 * lobes + 2;
-            // The power of each lobe is measured, or not.
-            let posterior = |measured: f64| {
-                let curvature = (0..n * n).map(|at| if at / n == at % n { measured } else { 0.0 }).collect();
-                let gradients = vec![vec![0.0; n]; 30];
-                Evidence { parameters: n, curvature, gradients, variance: 1.0 }.posterior([true; 3]).unwrap()
+            let evidence = |curvature: f64| Evidence {
+                parameters: n,
+                // The power of each lobe is measured, or not.
+                curvature: (0..n * n).map(|at| if at / n == at % n { curvature } else { 0.0 }).collect(),
+                gradients: vec![vec![0.0; n]; 30],
+                variance: 1.0,
             };
             let share = 1.0 / lobes as f64;
-            // A share of each channel of all lobes, then nothing of the two that all samples share.
-            let direction = |of_channels: [f64; 3]| -> Vec<f64> {
-                let of_lobes = of_channels.into_iter().flat_map(|part| vec![share * part / 3.0; lobes]);
-                of_lobes.chain([0.0; 2]).collect()
-            };
-            let (brightness, red) = (direction([1.0; 3]), direction([2.0, -1.0, -1.0]));
-            let unknown = posterior(0.0);
+            let brightness: Vec<_> = (0..n).map(|i| if i < 3 * lobes { share / 3.0 } else { 0.0 }).collect();
+            let red: Vec<f64> = (0..n)
+                .map(|i| match i / lobes {
+                    0 => share * 2.0 / 3.0,
+                    1 | 2 if i < 3 * lobes => -share / 3.0,
+                    _ => 0.0,
+                })
+                .collect();
+            let unknown = evidence(0.0).posterior([true; 3]).unwrap();
             let found = [&brightness, &red].map(|direction| unknown.deviation(direction));
             assert!(found[0] >= 1.0 && found[1] > 0.8, "{found:?}");
             assert!(unknown.effective_of_light().abs() < 1e-9);
-            let known = posterior(1e6);
+            let known = evidence(1e6).posterior([true; 3]).unwrap();
             assert!(known.deviation(&brightness) < 1e-3 && known.effective_of_light() > 2.9 * lobes as f64);
         }
     }

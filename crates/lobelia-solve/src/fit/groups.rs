@@ -4,17 +4,12 @@
 //! and shadows, and after it they are exchanged back; systems know of one light alone. Groups have turns in
 //! proportion to their pixels. Albedo and materials are common to all, and so is the scale between light and albedo.
 
-use crate::fit::components::LobeMoments;
-use crate::visibility::ObjectVisibility;
-use bevy_ecs::component::Mutable;
-use bevy_ecs::prelude::{Component, Entity, With, Without, World};
-use lobelia_geometry::view::{ByView, Placement, ViewIndex};
-use lobelia_world::light::LightLobe;
+use crate::fit::run::{entities, remove_from};
+use crate::prelude::*;
+use crate::{fit::components::LobeMoments, visibility::ObjectVisibility};
+use bevy_ecs::prelude::Without;
 use lobelia_world::light::groups::{group_light, light_groups};
 use lobelia_world::light::lights::{LobeOf, LobesOf};
-use lobelia_world::light::placement::{LightGroup, Placements};
-use lobelia_world::sample::{Observation, ObservationIndex};
-use std::ops::Range;
 
 /// Least share of the steps that a group has, relative to an equal share.
 const LEAST_SHARE: f64 = 0.25;
@@ -27,9 +22,7 @@ struct GroupVisibility(ObjectVisibility);
 pub(crate) fn exchange_light(world: &mut World, group: LightGroup) {
     let Some(light) = group_light(world, group) else { return };
     let of_group = world.get::<LobesOf>(light).map(|of| of.entities().to_vec()).unwrap_or_default();
-    let mut own = world.query_filtered::<Entity, (With<LightLobe>, Without<LobeOf>)>();
-    let own: Vec<Entity> = own.iter(world).collect();
-    for (own, of_group) in own.into_iter().zip(of_group) {
+    for (own, of_group) in entities::<(With<LightLobe>, Without<LobeOf>)>(world).into_iter().zip(of_group) {
         exchange::<LightLobe>(world, [own, of_group]);
         exchange::<LobeMoments>(world, [own, of_group]);
     }
@@ -43,12 +36,9 @@ pub(crate) fn exchange_light(world: &mut World, group: LightGroup) {
 }
 
 /// Exchanges a component that both entities have.
-fn exchange<T: Component<Mutability = Mutable> + Copy>(world: &mut World, entities: [Entity; 2]) {
+fn exchange<T: Component + Copy>(world: &mut World, entities: [Entity; 2]) {
     if let [Some(a), Some(b)] = entities.map(|entity| world.get::<T>(entity).copied()) {
-        entities
-            .into_iter()
-            .zip([b, a])
-            .for_each(|(entity, value)| _ = world.entity_mut(entity).insert(value));
+        world.insert_batch(entities.into_iter().zip([b, a]));
     }
 }
 
@@ -60,8 +50,7 @@ pub fn forget_visibility(world: &mut World) {
 
 /// Makes all groups find shadows and reflected light anew.
 pub fn forget_group_shadows(world: &mut World) {
-    let lights: Vec<Entity> = world.query_filtered::<Entity, With<LightGroup>>().iter(world).collect();
-    lights.into_iter().for_each(|light| _ = world.entity_mut(light).remove::<GroupVisibility>());
+    remove_from::<With<LightGroup>, GroupVisibility>(world);
 }
 
 /// The group of each view.

@@ -1,39 +1,16 @@
 //! Guards against steps that are not finite: a step whose loss or gradient is not finite is traced to its pixel and parameter, and not taken.
 //!
-//! | system | stage | does |
-//! | --- | --- | --- |
-//! | [`check_shading`] | Loss, first | looks at radiance and photographs |
-//! | [`check_loss`] | Loss, after the comparison | looks at the loss and its adjoint |
-//! | [`check_adjoints`] | Gradient, after `Slot::ShadingAdjoint` | looks at the adjoints of points, light and materials |
-//!
 //! Shapes, vertices and cameras look at their own gradients, with `is_usable`, and tell the [`StepGuard`].
 //!
-//! Values that are not finite are set to zero, so that nothing that is kept from step to step takes
-//! them up; `step_is_sound` then holds Update back, and Gradient too if they are found in Loss. If
-//! they are found in Gradient, the rest of that stage runs on zeros.
+//! Values that are not finite are set to zero, so that nothing that is kept from step to step takes them up; `step_is_sound` then holds Update
+//! back, and Gradient too if they are found in Loss. If they are found in Gradient, the rest of that stage runs on zeros.
 
 use crate::fit::components::{AlbedoGradient, LossState, StepGradient};
 use crate::fit::exposure::Exposures;
-use crate::fit::loss::LossSums;
-use crate::fit::roughness::{BlendAdjoints, BlendGradient};
-use crate::fit::sheen::SheenGradient;
+use crate::fit::{loss::LossSums, observe::main_texel, roughness::BlendGradient, sheen::SheenGradient};
+use crate::prelude::*;
 use bevy_ecs::component::Mutable;
-use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
-use lobelia_sg::shading::{Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint};
-use lobelia_world::light::LightLobe;
 use lobelia_world::light::groups::FittedLobe;
-use lobelia_world::light::lights::IncidentLight;
-use lobelia_world::material::{
-    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
-};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::read_column;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::point::SurfacePoint;
-use serde::{Deserialize, Serialize};
 
 /// Steps in a row that may be taken back; one more ends the fit.
 const MOST_IN_A_ROW: u32 = 9;
@@ -42,21 +19,15 @@ const LARGEST: f32 = 1e12;
 /// Radiance beyond this counts as not finite.
 const BRIGHTEST: f32 = 1e15;
 
-/// Where a step that is not taken fails first.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct BadStep {
-    /// Quantity that is not finite: "the radiance", "the gradient".
-    pub what: String,
-    /// The pixel, if it is one's.
-    pub pixel: Option<(u32, u32)>,
-    /// The parameter that it is traced to: "light lobe 3", "the albedo of texel 517".
-    pub parameter: String,
-}
+/// Where a step that is not taken fails first: the quantity that is not finite ("the radiance", "the gradient"), the pixel if it is one's, and
+/// the parameter that it is traced to ("light lobe 3", "the albedo of texel 517").
+type BadStep = (&'static str, Option<PixelOf>, String);
 
 /// Counts the steps that were taken back, over all fits of a run.
 #[derive(Resource, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct StepGuard {
     /// Why the step at work is not taken.
+    #[serde(skip)]
     bad_step: Option<BadStep>,
     /// Steps that were not taken.
     pub taken_back: u32,
@@ -69,21 +40,15 @@ pub struct StepGuard {
 }
 
 impl StepGuard {
-    /// Whether everything in this step is finite.
-    pub fn is_sound(&self) -> bool {
-        self.bad_step.is_none()
-    }
-
     /// Notes what is not finite, and the parameter that it is traced to; the first of a step counts.
-    pub fn find(&mut self, what: &str, pixel: Option<PixelOf>, parameter: impl Into<String>) {
-        let pixel = pixel.map(|pixel| (pixel.view.0, pixel.pixel));
-        self.bad_step.get_or_insert(BadStep { what: what.into(), pixel, parameter: parameter.into() });
+    pub fn find(&mut self, what: &'static str, pixel: Option<PixelOf>, parameter: impl Into<String>) {
+        self.bad_step.get_or_insert((what, pixel, parameter.into()));
     }
 }
 
 /// Whether everything in this step is finite.
 pub fn step_is_sound(guard: Option<Res<StepGuard>>) -> bool {
-    guard.is_none_or(|guard| guard.is_sound())
+    guard.is_none_or(|guard| guard.bad_step.is_none())
 }
 
 fn is_sound(values: &[f32], largest: f32) -> bool {
@@ -140,8 +105,7 @@ fn cause(lobes: &LobeColumns, gathered: &ShadePoint, point: &SurfacePoint) -> St
 
 /// The albedo of the texel that counts most at a point.
 fn of_texel(point: &SurfacePoint) -> String {
-    let most = (0..4).max_by(|a, b| point.texels.weights[*a].total_cmp(&point.texels.weights[*b]));
-    format!("the albedo of texel {}", point.texels.indices[most.unwrap_or(0)])
+    format!("the albedo of texel {}", main_texel(&point.texels))
 }
 
 /// Loss: looks for a loss, or an adjoint of it, that is not finite.
@@ -170,18 +134,16 @@ pub fn check_loss(
 pub fn check_adjoints(
     mut guard: ResMut<StepGuard>,
     mut gradient: ResMut<StepGradient>,
-    mut blends: ResMut<BlendAdjoints>,
     samples: Samples<(&PixelOf, &SurfacePoint, &RadianceAdjoint, &mut PointAdjoint)>,
 ) -> SystemResult {
     let (pixels, points, radiance, mut back) = samples.columns()?;
-    let bad =
-        back.iter().position(|back| !is_sound(&back.albedo, LARGEST) || !is_sound(&back.normal, LARGEST));
+    let bad = back.iter().position(|of| !is_sound(&of.albedo, LARGEST) || !is_sound(&of.normal, LARGEST));
     if let Some(i) = bad {
         let is_albedo = !is_sound(&back[i].albedo, LARGEST);
         let parameter = if is_albedo { of_texel(&points[i]) } else { "the normal of the surface".into() };
         guard.find("the gradient", Some(pixels[i]), parameter);
     }
-    let blended = blends.0.iter().position(|blend| !is_sound(blend, LARGEST));
+    let blended = gradient.blends.iter().position(|blend| !is_sound(blend, LARGEST));
     if let Some(i) = blended {
         guard.find("the gradient", pixels.get(i).copied(), "the blend of base materials there");
     }
@@ -193,7 +155,7 @@ pub fn check_adjoints(
     }
     if guard.bad_step.is_some() {
         back.fill(PointAdjoint::default());
-        blends.0.iter_mut().for_each(|blend| blend.fill(0.0));
+        gradient.blends.iter_mut().for_each(|blend| blend.fill(0.0));
         gradient.shared.lobes = LobeColumns::zeros(gradient.shared.lobes.len());
         gradient.shared.specular = Default::default();
         gradient.specular.iter_mut().for_each(|specular| *specular = Default::default());
@@ -239,7 +201,7 @@ pub(super) fn end_step(world: &mut World, step: u32) -> Result<()> {
         guard.in_a_row = 0;
         return Ok(());
     };
-    let place = words(world, &bad_step);
+    let place = words(world, bad_step);
     // What is summed until the next step must not reach it.
     forget::<AlbedoGradient>(world);
     forget::<SheenGradient>(world);
@@ -262,19 +224,16 @@ fn forget<T: Component<Mutability = Mutable> + Default>(world: &mut World) {
 }
 
 /// "the gradient is not finite at view rgb_000003, pixel (12, 40), by the albedo of texel 517"
-fn words(world: &mut World, bad_step: &BadStep) -> String {
-    let at = bad_step.pixel.map(|(view, pixel)| {
+fn words(world: &mut World, (what, pixel, parameter): BadStep) -> String {
+    let at = pixel.map(|PixelOf { view, pixel }| {
         let mut views = world.query::<(&ViewIndex, &ViewName, &Camera)>();
-        let found = views.iter(world).find(|(index, ..)| index.0 == view);
-        match found {
-            Some((_, name, camera)) => {
-                let width = camera.width.max(1);
-                format!(" at view {}, pixel ({}, {})", name.0, pixel % width, pixel / width)
-            }
-            None => format!(" at view number {view}, pixel {pixel}"),
-        }
+        let found = views.iter(world).find(|(index, ..)| **index == view);
+        found.map_or(format!(" at view number {}, pixel {pixel}", view.0), |(_, name, camera)| {
+            let width = camera.width.max(1);
+            format!(" at view {}, pixel ({}, {})", name.0, pixel % width, pixel / width)
+        })
     });
-    format!("{} is not finite{}, by {}", bad_step.what, at.unwrap_or_default(), bad_step.parameter)
+    format!("{what} is not finite{}, by {parameter}", at.unwrap_or_default())
 }
 
 /// Checks what a fit has found before any of it is written.
@@ -285,12 +244,10 @@ pub fn check_parameters(world: &mut World) -> Result<()> {
     let mut lobes = world.query_filtered::<&LightLobe, FittedLobe>();
     let is_finite =
         |lobe: &LightLobe| lobe.axis.is_finite() && lobe.sharpness.is_finite() && lobe.amplitude.is_finite();
-    if let Some(i) = lobes.iter(world).position(|lobe| !is_finite(lobe)) {
-        return Err(not_finite(format!("light lobe {i}")));
-    }
+    check_all("light lobe", lobes.iter(world).map(is_finite))?;
     let mut materials = world.query::<&SpecularLobe>();
     if !materials.iter(world).all(|lobe| lobe.albedo.is_finite() && lobe.roughness.is_finite()) {
-        return Err(not_finite("a specular lobe".into()));
+        return Err(not_finite("a specular lobe"));
     }
     let mut views = world.query::<(&ViewName, &Camera)>();
     if let Some((name, problem)) = views.iter(world).find_map(|(name, c)| Some((name, c.check().err()?))) {
@@ -302,28 +259,23 @@ pub fn check_parameters(world: &mut World) -> Result<()> {
     check_texels(world, "blend", |blend: &SpecularBlend| blend.0.iter().all(|weight| weight.is_finite()))
 }
 
-fn check_texels<T: Component + Copy>(
-    world: &mut World,
-    what: &str,
-    is_finite: impl Fn(&T) -> bool,
-) -> Result<()> {
-    match read_column::<TexelIndex, T>(world)?.iter().position(|value| !is_finite(value)) {
-        Some(i) => Err(not_finite(format!("the {what} of texel {i}"))),
-        None => Ok(()),
-    }
+fn check_texels<T: Component + Copy>(world: &mut World, what: &str, is_finite: fn(&T) -> bool) -> Result<()> {
+    check_all(&format!("the {what} of texel"), read_column::<TexelIndex, T>(world)?.iter().map(is_finite))
 }
 
 /// Checks numbers of a surface that was found, such as values of a field or coordinates of vertices, before any of it is written.
 ///
 /// # Errors
 /// [`Error::Run`] that names the first that is not finite: `what` and its place.
-pub fn check_numbers(what: &str, mut numbers: impl Iterator<Item = f32>) -> Result<()> {
-    match numbers.position(|number| !number.is_finite()) {
-        Some(i) => Err(not_finite(format!("{what} {i}"))),
-        None => Ok(()),
-    }
+pub fn check_numbers(what: &str, numbers: impl Iterator<Item = f32>) -> Result<()> {
+    check_all(what, numbers.map(f32::is_finite))
 }
 
-fn not_finite(what: String) -> Error {
+fn check_all(what: &str, mut are_finite: impl Iterator<Item = bool>) -> Result<()> {
+    let bad = are_finite.position(|is_finite| !is_finite);
+    bad.map_or(Ok(()), |i| Err(not_finite(&format!("{what} {i}"))))
+}
+
+fn not_finite(what: &str) -> Error {
     Error::run("fit", format!("{what} is not finite: nothing of it is written"))
 }

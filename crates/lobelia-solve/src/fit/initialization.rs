@@ -4,43 +4,16 @@
 //! amplitudes of uniformly distributed lobes are known, lobes with very little power are moved to resolve the bright parts: like split and merge in
 //! [`fit_map`](lobelia_world::light::map_fit), with photographs in place of the map.
 
-use crate::fit::components::Unknowns;
-use crate::fit::groups::exchange_light;
-use crate::fit::loss::radiance;
+use crate::fit::{components::Unknowns, groups::exchange_light, loss::radiance};
+use crate::prelude::*;
 use crate::shade::systems::{kernel_specular, turned};
 use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
-use bevy_ecs::prelude::{Entity, Query, With, Without, World};
-use bevy_ecs::system::SystemState;
-use fearless_simd::{Level, dispatch};
-use glam::{DVec3, Mat3, Vec3};
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
-use lobelia_sg::brdf::Ndf;
-use lobelia_sg::color::luminance;
+use bevy_ecs::{prelude::Without, system::SystemState};
 use lobelia_sg::linear::descend_nonnegative;
-use lobelia_sg::published::Lobe;
-use lobelia_sg::sg::sphere_integral;
-use lobelia_sg::shading::{
-    ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, PointVisibility, RESPONSE_ROWS, ShadePoint,
-    SpecularValue,
-};
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::groups::light_groups;
-use lobelia_world::light::lights::LobeOf;
-use lobelia_world::light::placement::{LightGroup, PlacedFrame};
-use lobelia_world::material::sheen::write_albedo;
-use lobelia_world::material::{
-    MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, USUAL_ALBEDO, recovered_albedo, recovered_materials,
-};
-use lobelia_world::sample::light_rotations;
-use lobelia_world::sample::point::SurfacePoint;
-use lobelia_world::sample::{Observation, Observations};
-use rayon::prelude::*;
-use std::borrow::Cow;
-use std::f32::consts::FRAC_1_PI;
-use std::ops::Range;
-use tracing::info_span;
+use lobelia_sg::{brdf::Ndf, color::luminance, published::Lobe, sg::sphere_integral, shading::RESPONSE_ROWS};
+use lobelia_world::sample::{Observations, light_rotations};
+use lobelia_world::{light::groups::light_groups, light::lights::LobeOf, material::sheen::write_albedo};
+use std::{borrow::Cow, f32::consts::FRAC_1_PI};
 
 /// Most pixels in a solve for the amplitudes.
 const AMPLITUDE_PIXELS: usize = 6144;
@@ -88,7 +61,7 @@ pub(crate) fn initialize_light_and_albedo(
     let mut texels = recovered_albedo(world)?;
     let object = traced(world, shadowed);
     let known = Known { form, specular, unknowns, object, in_part: false, placement: None };
-    with_groups(world, known, |problems| alternate(problems, &mut lights, &mut texels))?;
+    with_initialization(world, known, |problems| alternate(problems, &mut lights, &mut texels))?;
     for (group, lobes) in groups.into_iter().zip(&lights) {
         exchange_light(world, group);
         for (entity, lobe) in lobes_of(world).0.into_iter().zip(lobes) {
@@ -123,36 +96,24 @@ pub(crate) struct Known {
     pub placement: Option<Placement>,
 }
 
-/// Calls `run` with the data of the initialization, of the photographs under the scene's own light.
+/// Calls `run` with the data of the initialization of each group of photographs, in order; the first are those under the scene's own light.
 pub(crate) fn with_initialization<T>(
-    world: &mut World,
-    known: Known,
-    run: impl FnOnce(&mut Initialization) -> Result<T>,
-) -> Result<T> {
-    with_groups(world, known, |problems| run(&mut problems[0]))
-}
-
-type Views<'w, 's> =
-    Query<'w, 's, (&'static ViewIndex, &'static Camera, Option<&'static Placement>), With<Photograph>>;
-type Inputs<'w, 's> = (Observations<'w, 's>, Views<'w, 's>);
-
-/// Calls `run` with the data of the initialization of each group of photographs, in order.
-fn with_groups<T>(
     world: &mut World,
     known: Known,
     run: impl FnOnce(&mut [Initialization]) -> Result<T>,
 ) -> Result<T> {
-    let Known { form, specular, unknowns, object, in_part, placement } = known;
     let lights = light_groups(world);
+    let Known { in_part, placement, .. } = known;
     let frame = PlacedFrame::own(world);
-    let mut state = SystemState::<Inputs>::new(world);
-    let (observations, views) = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?;
+    let mut views = world.query_filtered::<(&ViewIndex, &Camera, Option<&Placement>), With<Photograph>>();
+    let views = views.iter(world);
     let views: Vec<(ViewIndex, Camera, Placement)> =
-        views.iter().map(|(index, camera, of)| (*index, *camera, of.copied().unwrap_or_default())).collect();
+        views.map(|(index, camera, of)| (*index, *camera, of.copied().unwrap_or_default())).collect();
     let cameras: ByView<Camera> = views.iter().map(|(index, camera, _)| (*index, *camera)).collect();
     let placements: ByView<Placement> = views.iter().map(|(index, _, of)| (*index, *of)).collect();
     let turns = light_rotations(&frame, views.into_iter());
-    let observations = observations.columns()?;
+    let mut state = SystemState::<Observations>::new(world);
+    let observations = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?.columns()?;
     let of = |row: &Observation| placements.get(row.pixel.view).copied();
     let chosen: Option<Vec<Observation>> =
         placement.map(|only| observations.iter().filter(|row| of(row) == Some(only)).copied().collect());
@@ -165,16 +126,9 @@ fn with_groups<T>(
     };
     let part = |all| in_part.then(|| part_of_surface(all)).flatten().map_or(Cow::Borrowed(all), Cow::Owned);
     let parts: Vec<Cow<[Observation]>> = (0..lights).map(of_group).map(part).collect();
-    let problem = |observations| Initialization {
-        form,
-        observations,
-        amplitude_pixels: if in_part { PART_AMPLITUDE_PIXELS } else { AMPLITUDE_PIXELS },
-        cameras: &cameras,
-        placements: &placements,
-        turns: &turns,
-        specular,
-        unknowns,
-        object: object.as_ref().map(ObjectVisibility::unlit),
+    let problem = |observations| {
+        let known = Known { object: known.object.as_ref().map(ObjectVisibility::unlit), ..known };
+        Initialization { known, observations, cameras: &cameras, placements: &placements, turns: &turns }
     };
     run(&mut parts.iter().map(|part| problem(part.as_ref())).collect::<Vec<_>>())
 }
@@ -185,7 +139,7 @@ fn alternate(
     lights: &mut [Vec<LightLobe>],
     texels: &mut Vec<Vec3>,
 ) -> Result<()> {
-    let unknowns = problems[0].unknowns;
+    let unknowns = problems[0].known.unknowns;
     for round in 0..ROUNDS {
         for (problem, lobes) in problems.iter_mut().zip(&mut *lights).filter(|_| unknowns.light) {
             check_interrupted()?;
@@ -217,9 +171,8 @@ fn part_of_surface(all: &[Observation]) -> Option<Vec<Observation>> {
     if every < 2 {
         return None;
     }
-    let at = all.par_iter().map(|observation| [observation.point.position; 2]);
-    let [low, high] = at.reduce_with(|a, b| [a[0].min(b[0]), a[1].max(b[1])])?;
-    let side = (high - low).max_element().max(1e-6) / PART_CELLS;
+    let (low, longest) = extent(all);
+    let side = longest / PART_CELLS;
     let is_in = |observation: &&Observation| {
         let cell = ((observation.point.position - low) / side).as_uvec3();
         let mixed = cell.x.wrapping_mul(0x9e37_79b1)
@@ -229,6 +182,14 @@ fn part_of_surface(all: &[Observation]) -> Option<Vec<Observation>> {
     };
     let part: Vec<Observation> = all.par_iter().filter(is_in).copied().collect();
     (part.len() >= PART_PIXELS / 4).then_some(part)
+}
+
+/// The lowest corner of the box around observed points, and its longest side, world units.
+pub(super) fn extent(observations: &[Observation]) -> (Vec3, f32) {
+    let at = observations.par_iter().map(|observation| [observation.point.position; 2]);
+    let nowhere = || [Vec3::INFINITY, Vec3::NEG_INFINITY];
+    let [low, high] = at.reduce(nowhere, |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+    (low, (high - low).max_element().max(1e-6))
 }
 
 /// The base material of least roughness that a texel has: it shows best where the light is. (With the mean of two, the fitted roughness is farther from the truth.) As a
@@ -245,16 +206,11 @@ pub(super) fn least_rough(world: &mut World) -> SpecularLobe {
 
 /// The data of the initialization.
 pub(crate) struct Initialization<'a> {
-    pub form: ClosedForm,
+    pub known: Known,
     pub observations: &'a [Observation],
-    /// Most pixels in a solve for the amplitudes.
-    amplitude_pixels: usize,
     pub cameras: &'a ByView<Camera>,
     pub placements: &'a ByView<Placement>,
     turns: &'a ByView<Mat3>,
-    pub specular: SpecularLobe,
-    pub unknowns: Unknowns,
-    object: Option<ObjectVisibility>,
 }
 
 impl Initialization<'_> {
@@ -266,20 +222,21 @@ impl Initialization<'_> {
     /// Solves for the amplitudes; `is_lit` if the lobes have some that explain the photographs already.
     fn solve_light(&mut self, lobes: &mut [LightLobe], texels: &[Vec3], is_lit: bool) -> Result<()> {
         let _solving = info_span!("light").entered();
-        let n = self.observations.len().min(self.amplitude_pixels);
+        let most = if self.known.in_part { PART_AMPLITUDE_PIXELS } else { AMPLITUDE_PIXELS };
+        let n = self.observations.len().min(most);
         let columns = LobeColumns::from_lobes(lobes.iter().map(Into::into));
         self.refresh(&columns, texels);
         let lit = self.lit(0..n, &columns, |point| point.texels.blend(texels))?;
         let observed = || self.observations[..n].iter().map(|observation| &observation.observed);
         // In clipped channels it should be more than that of the photographs, if the light until now says so.
         let targets: Vec<Vec3> = if is_lit && observed().any(|observed| observed.saturated) {
-            let shaded = lit.shade(self.form, &self.specular);
+            let shaded = lit.shade(self.known.form, &self.known.specular);
             observed().zip(&shaded).map(|(observed, layers)| observed.target(radiance(layers))).collect()
         } else {
             observed().map(|observed| observed.radiance).collect()
         };
-        let specular = kernel_specular(&self.specular);
-        let amplitudes = solve_amplitudes(self.form, &lit.points, &targets, &specular, lit.lighting());
+        let specular = kernel_specular(&self.known.specular);
+        let amplitudes = solve_amplitudes(self.known.form, &lit.points, &targets, &specular, lit.lighting());
         for (lobe, amplitude) in lobes.iter_mut().zip(amplitudes) {
             lobe.amplitude = amplitude.max(Vec3::splat(1e-3));
         }
@@ -293,7 +250,7 @@ impl Initialization<'_> {
         let mut unit = Vec::with_capacity(n);
         for start in (0..n).step_by(LIT_AT_ONCE) {
             let white = self.lit(start..n.min(start + LIT_AT_ONCE), &columns, |_| Vec3::ONE)?;
-            unit.append(&mut white.shade(self.form, &self.specular));
+            unit.append(&mut white.shade(self.known.form, &self.known.specular));
         }
         Ok(unit)
     }
@@ -301,8 +258,8 @@ impl Initialization<'_> {
     /// Finds the shadows and the reflected light of these lobes on a surface of this albedo.
     pub fn refresh(&mut self, lobes: &LobeColumns, texels: &[Vec3]) {
         let _refreshing = info_span!("shadows").entered();
-        let Some(object) = &mut self.object else { return };
-        let SpecularLobe { albedo: specular, roughness, .. } = self.specular;
+        let SpecularLobe { albedo: specular, roughness, .. } = self.known.specular;
+        let Some(object) = &mut self.known.object else { return };
         let of = |texel: u32| Reflectance { diffuse: texels[texel as usize], specular, roughness };
         object.refresh(lobes, self.turns.all(), &of);
     }
@@ -320,20 +277,17 @@ impl Initialization<'_> {
         };
         let viewers: Vec<Vec3> = observations.par_iter().map(viewer).collect::<Result<_>>()?;
         let point = |(Observation { pixel, point, .. }, viewer): (&Observation, &Vec3)| {
-            let point = ShadePoint {
-                normal: point.normal.into(),
-                to_viewer: (*viewer).into(),
-                albedo: albedo(point).into(),
-            };
+            let albedo = albedo(point).into();
+            let point = ShadePoint { normal: point.normal.into(), to_viewer: (*viewer).into(), albedo };
             self.turns.get(pixel.view).map_or(point, |turn| turned(&point, *turn))
         };
         let points = observations.par_iter().zip(&viewers).map(point).collect();
         let (mut rows, mut seen) = (WindowVisibility::default(), Vec::new());
-        if let Some(object) = &self.object {
+        if let Some(object) = &self.known.object {
             seen.resize(observations.len(), PointVisibility::OPEN);
             let surface: Vec<SurfacePoint> = observations.par_iter().map(|o| o.point).collect();
             let viewer = |i: usize| (viewers[i], observations[i].pixel);
-            object.window(&surface, viewer, |_| self.specular.roughness, None, &mut rows, &mut seen);
+            object.window(&surface, viewer, |_| self.known.specular.roughness, None, &mut rows, &mut seen);
         }
         Ok(Lit { lobes, points, rows, seen })
     }
@@ -347,7 +301,7 @@ impl Initialization<'_> {
             let [r, g, b] = observed.differences(radiance(shaded)).abs().to_array();
             f64::from(r + g + b)
         };
-        let shaded = lit.shade(self.form, &self.specular);
+        let shaded = lit.shade(self.known.form, &self.known.specular);
         let sum: f64 = shaded.iter().zip(self.observations).map(of).sum();
         Ok((sum / (3 * n.max(1)) as f64) as f32)
     }
@@ -529,14 +483,9 @@ fn solve_albedo<'a>(
     // One twentieth of the weight of an average sample.
     let lean = power * (0.05 / f64::from(count.max(1))) + DVec3::splat(1e-12);
     let prior = prior.as_dvec3();
-    above
-        .iter()
-        .zip(&below)
-        .map(|(a, b)| {
-            let albedo = (*a + lean * prior) / (*b + lean);
-            albedo.clamp(DVec3::splat(0.02), DVec3::splat(0.98)).as_vec3()
-        })
-        .collect()
+    let albedo = |(a, b): (&DVec3, &DVec3)| (*a + lean * prior) / (*b + lean);
+    let in_range = |albedo: DVec3| albedo.clamp(DVec3::splat(0.02), DVec3::splat(0.98)).as_vec3();
+    above.iter().zip(&below).map(albedo).map(in_range).collect()
 }
 
 /// A lobe may be moved if its power is below this fraction of the mean power.
@@ -589,8 +538,6 @@ mod tests {
     use super::*;
     use lobelia_sg::fibonacci::{fibonacci_axes, spacing_sharpness};
     use lobelia_sg::ray::TexelAddress;
-    use lobelia_world::sample::pixel::{Observed, PixelOf};
-    use lobelia_world::sample::point::SurfacePoint;
 
     #[test]
     fn a_part_of_the_surface_has_all_pixels_of_its_places() {

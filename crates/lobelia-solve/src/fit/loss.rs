@@ -1,18 +1,8 @@
 //! The image loss and its adjoint; how a fit explains each photograph, from its last visit to every pixel: what a report names views by.
 
 use crate::fit::exposure::Exposures;
-use crate::fit::guard::StepGuard;
-use bevy_ecs::prelude::{Res, ResMut, Resource, With, World};
-use glam::Vec3;
-use lobelia_geometry::error::Result;
-use lobelia_geometry::view::ViewIndex;
+use crate::prelude::*;
 use lobelia_sg::color::{luminance, srgb_from_linear};
-use lobelia_sg::shading::{Layers, RadianceAdjoint};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::{Observation, ObservationIndex};
-use serde::{Deserialize, Serialize};
 
 /// The function that a fit minimizes, averaged over pixels and channels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -61,8 +51,7 @@ pub(crate) fn radiance(layers: &Layers) -> Vec3 {
     Vec3::from(layers.diffuse) + Vec3::from(layers.specular)
 }
 
-/// Writes the adjoint of the mean loss over these pixels and returns their sums. `exposure` are the exposure
-/// factors of a pixel's photograph.
+/// Writes the adjoint of the mean loss over these pixels and returns their sums. `exposure` are the exposure factors of a pixel's photograph.
 pub fn image_loss(
     loss: Loss,
     shaded: &[Layers],
@@ -145,23 +134,23 @@ impl ViewSums {
     }
 }
 
+/// Luminance with the curve of sRGB.
+pub(crate) fn coded_luminance(radiance: Vec3) -> f32 {
+    srgb_from_linear(luminance(radiance).clamp(0.0, 1.0))
+}
+
 /// Whether a pixel is an outlier.
 pub fn is_outlier(predicted: Vec3, observed: Vec3) -> bool {
-    let code = |radiance: Vec3| srgb_from_linear(luminance(radiance).clamp(0.0, 1.0));
-    (code(predicted) - code(observed)).abs() > OUTLIER
+    (coded_luminance(predicted) - coded_luminance(observed)).abs() > OUTLIER
 }
 
 /// Loss: adds the pixels of the step, in the last visit to the pool.
 pub fn sum_by_view(
-    guard: Res<StepGuard>,
     exposures: Res<Exposures>,
     mut sums: ResMut<ViewSums>,
     samples: Samples<(&PixelOf, &Layers, &Observed)>,
 ) -> SystemResult {
-    if sums.counts && guard.is_sound() {
-        add_step(&mut sums, &exposures, samples)?;
-    }
-    Ok(())
+    if sums.counts { Ok(add_step(&mut sums, &exposures, samples)?) } else { Ok(()) }
 }
 
 /// The pixels of the last step alone, by photograph.

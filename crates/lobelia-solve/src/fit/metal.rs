@@ -3,21 +3,10 @@
 //! Metal reflects at its surface, in a color of its own, and has no diffuse light beneath; a dielectric such as paint, wood or glaze reflects a few
 //! percent of the light there, gray. A fit that does not know this shows gold as silver under a golden light, over a diffuse layer that holds
 //! what its reflections do not explain: the photographs look the same, and no other light does.
-//!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`bound_diffuse_albedo`] | Update, `Slot::Optimizer`, after all others | `SpecularBlend`, `SpecularLobe` | `DiffuseAlbedo`, `DiffuseSheen` |
 
 use crate::fit::components::{StepRates, Unknowns};
 use crate::fit::roughness::TexelPlaces;
-use bevy_ecs::prelude::{Query, Res};
-use glam::Vec3;
-use lobelia_world::material::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, Texels,
-    USUAL_ALBEDO,
-};
-use lobelia_world::pipeline::SystemResult;
-use rayon::prelude::*;
+use crate::prelude::*;
 
 /// The specular albedo of dielectrics: water has 0.02, glass and varnish 0.04, dense glaze 0.08.
 pub const DIELECTRIC_ALBEDO: (f32, f32) = (0.02, 0.08);
@@ -175,14 +164,12 @@ mod tests {
 
     #[test]
     fn the_level_rests_where_metal_and_the_rest_are_usual() {
-        let level = |metal: f32, share, usual| {
-            let metals = Metals::of([(0, &SpecularLobe::new(Vec3::splat(metal), 0.2)), (1, &VARNISH)]);
-            metals.level_derivative(share, usual)
-        };
-        assert!(level(0.95, 0.5, USUAL_ALBEDO).abs() < 1e-6);
-        assert!(level(0.6, 0.5, USUAL_ALBEDO) > 0.0, "a dark metal asks for less light");
-        assert!(level(0.6, 0.01, 0.8) < 0.0, "of which a little does not outweigh white paint");
-        assert_eq!(level(0.1, 0.0, 0.8), 0.0, "two kinds of paint say nothing");
+        let metals =
+            |albedo: f32| Metals::of([(0, &SpecularLobe::new(Vec3::splat(albedo), 0.2)), (1, &VARNISH)]);
+        assert!(metals(0.95).level_derivative(0.5, USUAL_ALBEDO).abs() < 1e-6);
+        assert!(metals(0.6).level_derivative(0.5, USUAL_ALBEDO) > 0.0, "a dark metal asks for less light");
+        assert!(metals(0.6).level_derivative(0.01, 0.8) < 0.0, "a little does not outweigh white paint");
+        assert_eq!(metals(0.1).level_derivative(0.0, 0.8), 0.0, "two kinds of paint say nothing");
     }
 
     #[test]

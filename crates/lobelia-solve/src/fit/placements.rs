@@ -1,10 +1,5 @@
 //! Rotations of the object's [placements](lobelia_world::light::placement) as unknowns: those that were found move with the rest of a fit.
 //!
-//! | system | stage | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`sum_turns`] | Gradient | points, radiance, photographs, light, materials | [`TurnSums`]: normal equations |
-//! | [`turn_placements`] | Update | normal equations | [`Placements`] |
-//!
 //! A small rotation of the object in the room is one of all normals and views of its placement in the light's frame. Derivatives of the radiance are
 //! central differences, with shadows as they are; those are found anew later. Residuals have
 //! weights that minimize the sum of absolute differences.
@@ -15,37 +10,14 @@
 //! ever smaller steps, and once more under the light that the photographs of all placements have together.
 
 use crate::fit::components::{StepRates, Unknowns};
-use crate::fit::exposure::Exposures;
-use crate::fit::initialization::{Initialization, Known, least_rough, lobes_of, with_initialization};
-use crate::fit::loss::radiance;
+use crate::fit::initialization::{Initialization, Known, extent, least_rough, lobes_of, with_initialization};
+use crate::prelude::*;
 use crate::shade::systems::{kernel_specular, shade_materials, turned};
-use crate::visibility::WindowVisibility;
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, With, World};
-use bevy_ecs::schedule::ScheduleConfigs;
-use bevy_ecs::system::ScheduleSystem;
-use glam::{DMat3, DVec3, Mat3, Quat, UVec3, Vec3};
-use lobelia_geometry::error::Result;
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
-use lobelia_sg::shading::{
-    ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue,
-};
-use lobelia_world::light::LightLobe;
+use crate::{fit::exposure::Exposures, fit::loss::radiance, visibility::WindowVisibility};
+use glam::{DMat3, Quat};
 use lobelia_world::light::light_frame::{LightFrame, turning_axis};
-use lobelia_world::light::lights::IncidentLight;
-use lobelia_world::light::placement::{
-    LightGroup, PlacedFrame, PlacementTurn, Placements, TurnSource, light_from_world,
-};
-use lobelia_world::material::material_source::BaseMaterials;
-use lobelia_world::material::recovered_albedo;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Stage, SystemResult};
-use lobelia_world::sample::Observation;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::point::PointBlend;
-use serde::{Deserialize, Serialize};
+use lobelia_world::light::placement::{PlacementTurn, TurnSource, light_from_world};
 use std::collections::HashMap;
-use tracing::info_span;
 
 /// Steps under one light between two windows that are summed.
 const SUM_EVERY: u32 = 3;
@@ -172,23 +144,18 @@ fn derivatives(points: &[ShadePoint], shade: &dyn Fn(&[ShadePoint]) -> Vec<Layer
             let turn = Mat3::from_axis_angle(axis, angle);
             shade(&points.iter().map(|point| turned(point, turn)).collect::<Vec<_>>())
         };
-        let (above, below) = (shaded(DIFFERENCE), shaded(-DIFFERENCE));
-        let slope =
-            |(above, below): (&Layers, &Layers)| (radiance(above) - radiance(below)) / (2.0 * DIFFERENCE);
-        above.iter().zip(&below).map(slope).collect()
+        let (up, down) = (shaded(DIFFERENCE), shaded(-DIFFERENCE));
+        let slope = |(up, down): (&Layers, &Layers)| (radiance(up) - radiance(down)) / (2.0 * DIFFERENCE);
+        up.iter().zip(&down).map(slope).collect()
     })
 }
 
 /// Update: every `TURN_EVERY` steps, a Gauss–Newton step of each rotation that was found; resets the sums.
-pub fn turn_placements(
-    rates: Res<StepRates>,
-    mut sums: ResMut<TurnSums>,
-    mut placements: ResMut<Placements>,
-) {
+pub fn turn_placements(rates: Res<StepRates>, mut sums: ResMut<TurnSums>, mut turns: ResMut<Placements>) {
     if !rates.step.is_multiple_of(TURN_EVERY) {
         return;
     }
-    for (turn, sums) in placements.0.iter_mut().zip(&sums.0) {
+    for (turn, sums) in turns.0.iter_mut().zip(&sums.0) {
         if turn.source == TurnSource::Found {
             let step = Quat::from_scaled_axis(sums.step().as_vec3());
             turn.room_from_object = (step * turn.room_from_object).normalize();
@@ -227,7 +194,7 @@ pub(crate) fn find_placements(world: &mut World, unknowns: Unknowns, form: Close
             let placement = (round == 0).then_some(Placement(0));
             let (mut texels, specular) = (recovered_albedo(world)?, least_rough(world));
             let known = Known { form, specular, unknowns, object: None, in_part: true, placement };
-            with_initialization(world, known, |problem| problem.alternate(&mut lobes, &mut texels))?;
+            with_initialization(world, known, |problems| problems[0].alternate(&mut lobes, &mut texels))?;
         }
         for number in open.iter().copied() {
             check_interrupted()?;
@@ -260,8 +227,8 @@ fn turn_of(
     let specular = least_rough(world);
     let known = Known { form, specular, unknowns, object: None, in_part: true, placement: None };
     let placements = world.resource::<Placements>().clone();
-    with_initialization(world, known, |problem| {
-        let aligned = Aligned::new(problem, (frame, lobes), &placements, number)?;
+    with_initialization(world, known, |problems| {
+        let aligned = Aligned::new(&problems[0], (frame, lobes), &placements, number)?;
         Ok(match turn.source {
             TurnSource::Unknown => aligned.found()?,
             _ => aligned.improved(turn.room_from_object, STEPS[2], PIXELS[1]).0,
@@ -352,8 +319,8 @@ impl Aligned {
         let mut pixels = std::mem::take(&mut by_placement[number]);
         pixels.sort_by_key(|pixel| pixel.cell);
         let lobes = LobeColumns::from_lobes(lobes.iter().map(Into::into));
-        let specular = kernel_specular(&problem.specular);
-        let form = problem.form;
+        let specular = kernel_specular(&problem.known.specular);
+        let form = problem.known.form;
         let mut aligned = Self { form, frame, lobes, specular, views, pixels, known: HashMap::new() };
         for (turn, pixels) in placements.0.iter().zip(&by_placement) {
             if turn.source != TurnSource::Unknown {
@@ -371,8 +338,7 @@ impl Aligned {
         let room_from_object = Mat3::from_quat(room_from_object);
         let of_view = |axes: &Mat3| light_from_world(self.frame, *axes, room_from_object);
         let turns: Vec<Mat3> = self.views.iter().map(of_view).collect();
-        let points: Vec<ShadePoint> =
-            pixels.iter().map(|pixel| turned(&pixel.point, turns[pixel.view])).collect();
+        let points: Vec<_> = pixels.iter().map(|pixel| turned(&pixel.point, turns[pixel.view])).collect();
         let mut unit = vec![Layers::default(); points.len()];
         self.form.shade(&points, &self.specular, Lighting::from(&self.lobes), &mut unit);
         unit
@@ -434,11 +400,8 @@ impl Aligned {
 /// The cell of an observation: its place in a grid, and the octant of its normal, so that the two sides of what is thin differ. Numbers are mixed:
 /// their order is random.
 fn cells(observations: &[Observation]) -> impl Fn(&Observation) -> u64 {
-    let both = |(low, high): (Vec3, Vec3), row: &Observation| {
-        (low.min(row.point.position), high.max(row.point.position))
-    };
-    let (low, high) = observations.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), both);
-    let side = (high - low).max_element().max(1e-6) / CELLS;
+    let (low, longest) = extent(observations);
+    let side = longest / CELLS;
     move |row| {
         let UVec3 { x, y, z } = ((row.point.position - low) / side).as_uvec3();
         let octant = row.point.normal.cmpgt(Vec3::ZERO).bitmask();

@@ -1,5 +1,4 @@
-//! Priors on albedo and normals from elsewhere: maps of the photographs ([`AlbedoMap`],
-//! [`NormalMap`]).
+//! Priors on albedo and normals from elsewhere: maps of the photographs ([`AlbedoMap`], [`NormalMap`]).
 //!
 //! Light and albedo explain each other: photographs determine their product far better than either. A map of the albedo tells them apart, if
 //! its errors are smaller than those that the light would make. A fit begins from the maps' mean on each texel (`fuse`) with the light that
@@ -7,29 +6,13 @@
 //! a network does, holding the texels to them by a term in the loss as well made every score worse.)
 //!
 //! Normals pull a surface that moves: the loss of a pixel is the weight times Huber's function of n − n′, with the normal n and that of the map n′.
-//!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`pull_to_normal_maps`] | Gradient, after `Slot::ShadingAdjoint` and before what sums its adjoints | [`NormalWeight`], `NormalMap`, `SurfacePoint` | `PointAdjoint` |
 
-use crate::fit::components::TexelSeen;
 use crate::fit::guard::{check_adjoints, step_is_sound};
-use crate::fit::scale::ScaleRule;
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, Resource, World};
-use bevy_ecs::system::SystemState;
-use glam::{DVec3, Vec3};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::PriorMap;
-use lobelia_geometry::view::{AlbedoMap, ByView, NormalMap, ViewIndex};
+use crate::fit::{components::TexelSeen, scale::ScaleRule};
+use crate::prelude::*;
+use lobelia_geometry::view::{AlbedoMap, NormalMap, PriorMap};
 use lobelia_sg::ray::TexelAddress;
-use lobelia_sg::shading::PointAdjoint;
-use lobelia_world::material::sheen::write_albedo;
-use lobelia_world::material::{TexelIndex, USUAL_ALBEDO};
-use lobelia_world::pipeline::pool::read_column;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage, SystemResult};
-use lobelia_world::sample::pixel::PixelOf;
-use lobelia_world::sample::point::SurfacePoint;
-use lobelia_world::sample::{Observations, Samples};
+use lobelia_world::{material::sheen::write_albedo, pipeline::ScatterAdjoints};
 
 /// Rounds of the mean on each texel and the factor of each map.
 const ROUNDS: usize = 4;
@@ -74,42 +57,32 @@ pub fn pull_to_normal_maps(
             continue;
         }
         let Some(known) = maps.get(pixel.view).and_then(|map| map.at(pixel.pixel as usize)) else { continue };
-        let pull = huber(at.normal - known, SQUARE_BELOW).1 * each;
+        let pull = huber_slope(at.normal - known) * each;
         back.normal = (Vec3::from(back.normal) + pull).into();
     }
     Ok(())
 }
 
-/// Huber's function of the length x of a difference, x²/2s below s and x − s/2 above, and its gradient.
-fn huber(difference: Vec3, square_below: f32) -> (f32, Vec3) {
-    let length = difference.length();
-    let value = if length < square_below {
-        length * length / (2.0 * square_below)
-    } else {
-        length - 0.5 * square_below
-    };
-    (value, difference / length.max(square_below))
+/// The gradient of Huber's function of the length x of a difference, x²/2s below s = [`SQUARE_BELOW`] and x − s/2 above.
+fn huber_slope(difference: Vec3) -> Vec3 {
+    difference / difference.length().max(SQUARE_BELOW)
 }
 
 /// A pixel with what its map says of it.
-struct MapPixel {
-    view: ViewIndex,
-    texels: TexelAddress,
-    value: Vec3,
-}
+type MapPixel = (ViewIndex, TexelAddress, Vec3);
 
 /// The mean of the maps on each texel, each map times the factor by which it agrees with the others best; the geometric mean of the factors is
 /// 1. A texel that no map shows has the mean of all.
 fn fuse(pixels: &[MapPixel], texels: usize) -> Vec<Vec3> {
-    let views = pixels.iter().map(|pixel| pixel.view.0 as usize + 1).max().unwrap_or(0);
+    let views = pixels.iter().map(|(view, ..)| view.0 as usize + 1).max().unwrap_or(0);
     let mut factors = vec![1.0f32; views];
     let mut means = texel_means(pixels, &factors, texels);
     for _ in 0..ROUNDS {
         let mut sums = vec![(0.0, 0.0); views];
-        for pixel in pixels {
-            let (view, mean) = (pixel.view.0 as usize, pixel.texels.blend(&means));
-            sums[view].0 += f64::from(mean.dot(pixel.value));
-            sums[view].1 += f64::from(pixel.value.length_squared());
+        for (view, texels, value) in pixels {
+            let (view, mean) = (view.0 as usize, texels.blend(&means));
+            sums[view].0 += f64::from(mean.dot(*value));
+            sums[view].1 += f64::from(value.length_squared());
         }
         let known = |sums: &&(f64, f64)| sums.0 > 0.0 && sums.1 > 0.0;
         let logs: Vec<f64> = sums.iter().filter(known).map(|sums| (sums.0 / sums.1).ln()).collect();
@@ -126,9 +99,9 @@ fn fuse(pixels: &[MapPixel], texels: usize) -> Vec<Vec3> {
 fn texel_means(pixels: &[MapPixel], factors: &[f32], texels: usize) -> Vec<Vec3> {
     let mut sums = vec![(Vec3::ZERO, 0.0f32); texels];
     let mut all = (DVec3::ZERO, 0u64);
-    for pixel in pixels {
-        let value = pixel.value * factors[pixel.view.0 as usize];
-        for (texel, weight) in pixel.texels.indices.into_iter().zip(pixel.texels.weights) {
+    for (view, of, value) in pixels {
+        let value = value * factors[view.0 as usize];
+        for (texel, weight) in of.indices.into_iter().zip(of.weights) {
             sums[texel as usize].0 += weight * value;
             sums[texel as usize].1 += weight;
         }
@@ -142,7 +115,7 @@ fn texel_means(pixels: &[MapPixel], factors: &[f32], texels: usize) -> Vec<Vec3>
 /// and albedo (but with metals, of which maps show a color of another meaning). One that `begins` them anew begins from the maps: its texels
 /// have their albedo at a usual level. Returns whether there are maps.
 pub(super) fn follow_maps(world: &mut World, metal: bool, begins: bool) -> Result<bool> {
-    let pixels = map_pixels(world)?;
+    let pixels = map_pixels(world);
     if pixels.is_empty() {
         return Ok(false);
     }
@@ -173,21 +146,19 @@ fn usual_mean(shown: &[Vec3]) -> (Vec3, f32) {
 }
 
 /// The observed pixels of which a map says something.
-fn map_pixels(world: &mut World) -> Result<Vec<MapPixel>> {
-    type Inputs<'w, 's> = (Observations<'w, 's>, Query<'w, 's, (&'static ViewIndex, &'static AlbedoMap)>);
+fn map_pixels(world: &mut World) -> Vec<MapPixel> {
     if !AlbedoMap::are_in(world) {
-        return Ok(Vec::new());
+        return Vec::new();
     }
-    let mut state = SystemState::<Inputs>::new(world);
-    let (observations, views) = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?;
-    let maps: ByView<&PriorMap> = views.iter().map(|(view, map)| (*view, &map.0)).collect();
-    let observations = observations.columns()?;
-    let shown = observations.iter().filter_map(|observation| {
+    let mut views = world.query::<(&ViewIndex, &AlbedoMap)>();
+    let mut observations = world.query_filtered::<&Observation, With<ObservationIndex>>();
+    let maps: ByView<&PriorMap> = views.iter(world).map(|(view, map)| (*view, &map.0)).collect();
+    let shown = observations.iter(world).filter_map(|observation| {
         let (view, pixel) = (observation.pixel.view, observation.pixel.pixel as usize);
         let value = maps.get(view)?.at(pixel)?;
-        Some(MapPixel { view, texels: observation.point.texels, value })
+        Some((view, observation.point.texels, value))
     });
-    Ok(shown.collect())
+    shown.collect()
 }
 
 #[cfg(test)]
@@ -196,10 +167,13 @@ mod tests {
 
     #[test]
     fn the_slope_of_hubers_function_agrees_with_central_differences() {
+        let huber = |x: f32| {
+            if x < SQUARE_BELOW { x * x / (2.0 * SQUARE_BELOW) } else { x - 0.5 * SQUARE_BELOW }
+        };
         for difference in [Vec3::new(0.3, -0.4, 0.1), Vec3::new(0.02, 0.01, -0.03)] {
-            let slope = huber(difference, SQUARE_BELOW).1;
+            let slope = huber_slope(difference);
             for axis in Vec3::AXES {
-                let at = |step: f32| huber(difference + axis * step, SQUARE_BELOW).0;
+                let at = |step: f32| huber((difference + axis * step).length());
                 let central = (at(1e-3) - at(-1e-3)) / 2e-3;
                 assert!((central - slope.dot(axis)).abs() < 1e-3, "{difference}: {central} {slope}");
             }
@@ -221,9 +195,10 @@ mod tests {
     fn pixels(factors: [f32; 3], truth: impl Fn(usize) -> Vec3) -> Vec<MapPixel> {
         let pixel = |i: usize| {
             let texel = i % 4;
-            let indices = [0, 1, 2, 3].map(|k| (texel as u32 + k) % 4);
-            let texels = TexelAddress { indices, weights: [1.0, 0.0, 0.0, 0.0] };
-            MapPixel { view: ViewIndex((i % 3) as u32), texels, value: truth(texel) * factors[i % 3] }
+            let at = |k: u32| (texel as u32 + k) % 4;
+            let texels =
+                TexelAddress { indices: [at(0), at(1), at(2), at(3)], weights: [1.0, 0.0, 0.0, 0.0] };
+            (ViewIndex((i % 3) as u32), texels, truth(texel) * factors[i % 3])
         };
         (0..240).map(pixel).collect()
     }

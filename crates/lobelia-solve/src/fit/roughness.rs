@@ -4,31 +4,13 @@
 //! mirror a bright light, so logits move together: the gradient is averaged over a lattice around the surface whose cells shrink
 //! during the fit, so that regions get sharp boundaries where the photographs show them. With one base material these systems have no effect.
 //!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`pull_back_radiance`](crate::fit::systems::pull_back_radiance) | `Slot::ShadingAdjoint` | samples, base materials | adjoints of samples, light, materials, blends |
-//! | [`scatter_to_blends`] | Gradient | [`BlendAdjoints`], texel addresses | [`BlendGradient`] |
-//! | [`move_blends`] | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`] | `SpecularBlend` |
-//!
 //! Or each texel has a roughness of its own, and a factor on the specular albedo, with a smoothness prior: it blends the two nearest of several
 //! base materials of fixed roughness, so that shading does not depend on it. The systems replace [`move_blends`] and use the same lattice.
-//!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | `tie_specular` | Update, `Slot::Optimizer` | | `SpecularGradient`: one albedo for all base materials |
-//! | `move_roughness` | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`], [`RoughnessPrior`], `DiffuseAlbedo` | [`TexelRoughness`], `SpecularBlend` |
 
-use crate::fit::components::{AdamStep, Bounded, Moments, SpecularGradient, StepRates, Unknowns};
-use bevy_ecs::prelude::{Component, Query, Res, Resource, World};
-use glam::{UVec3, Vec3};
+use crate::fit::components::{AdamStep, Bounded, Moments, StepGradient, StepRates, Unknowns};
+use crate::prelude::*;
 use lobelia_geometry::mesh::atlas::TexelAtlas;
-use lobelia_world::material::material_source::BaseMaterials;
-use lobelia_world::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, Texels, texels_in_order};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::point::SurfacePoint;
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use lobelia_world::material::texels_in_order;
 
 /// One value per base material.
 pub type PerMaterial = [f32; MAX_SPECULAR_LOBES];
@@ -40,10 +22,6 @@ pub struct BlendGradient(pub PerMaterial);
 /// Adam's moments of a texel's logits.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BlendMoments(pub Moments<MAX_SPECULAR_LOBES>);
-
-/// Adjoints of the blend weights at the window's samples.
-#[derive(Resource, Default)]
-pub struct BlendAdjoints(pub Vec<PerMaterial>);
 
 /// Positions of the texels, for the lattice over which their gradients are averaged. Blends move only if every texel has a position.
 #[derive(Resource, Default)]
@@ -69,7 +47,7 @@ const CELLS: (f32, f32) = (8.0, 48.0);
 /// Gradient: adds the blend adjoints of the samples to their texels, in the order of [`SampleIndex`](lobelia_world::sample::pixel::SampleIndex).
 pub fn scatter_to_blends(
     materials: Res<BaseMaterials>,
-    adjoints: Res<BlendAdjoints>,
+    gradient: Res<StepGradient>,
     samples: Samples<&SurfacePoint>,
     texels: Texels<&mut BlendGradient>,
 ) -> SystemResult {
@@ -79,7 +57,7 @@ pub fn scatter_to_blends(
     let points = samples.columns()?;
     let mut texels = texels.columns()?.quiet();
     let texels = &mut *texels;
-    for (point, adjoint) in points.iter().zip(&adjoints.0) {
+    for (point, adjoint) in points.iter().zip(&gradient.blends) {
         for (texel, weight) in point.texels.indices.into_iter().zip(point.texels.weights) {
             // Texels that were added after the start of the fit have no gradient.
             let Some(sums) = texels.get_mut(texel as usize) else { continue };
@@ -269,25 +247,21 @@ pub struct RoughnessPrior {
 }
 
 impl RoughnessPrior {
-    /// The prior for the texels of an atlas.
+    /// The prior for the texels of an atlas: neighbors are side by side in the texture and near each other on the surface.
     pub fn new(atlas: &TexelAtlas, smoothness: f32, color_width: f32, varied_specular: bool) -> Self {
-        Self { smoothness, color_width, varied_specular, neighbors: neighbors(atlas) }
+        let (width, height) = (atlas.width as usize, atlas.height as usize);
+        let all = (0..width * height).flat_map(|i| {
+            let right = (i % width + 1 < width).then_some([i, i + 1]);
+            let down = (i + width < width * height).then_some([i, i + width]);
+            [right, down].into_iter().flatten()
+        });
+        let covered: Vec<[usize; 2]> = all.filter(|[a, b]| atlas.covered[*a] && atlas.covered[*b]).collect();
+        let distance = |[a, b]: &[usize; 2]| atlas.position[*a].distance(atlas.position[*b]);
+        let mean = covered.iter().map(distance).sum::<f32>() / covered.len().max(1) as f32;
+        let near = covered.iter().filter(|pair| distance(pair) < NEAR * mean);
+        let neighbors = near.map(|[a, b]| [*a as u32, *b as u32]).collect();
+        Self { smoothness, color_width, varied_specular, neighbors }
     }
-}
-
-/// Texels side by side in the texture and near each other on the surface.
-fn neighbors(atlas: &TexelAtlas) -> Vec<[u32; 2]> {
-    let (width, height) = (atlas.width as usize, atlas.height as usize);
-    let all = (0..width * height).flat_map(|i| {
-        let right = (i % width + 1 < width).then_some([i, i + 1]);
-        let down = (i + width < width * height).then_some([i, i + width]);
-        [right, down].into_iter().flatten()
-    });
-    let covered: Vec<[usize; 2]> = all.filter(|[a, b]| atlas.covered[*a] && atlas.covered[*b]).collect();
-    let distance = |[a, b]: &[usize; 2]| atlas.position[*a].distance(atlas.position[*b]);
-    let mean = covered.iter().map(distance).sum::<f32>() / covered.len().max(1) as f32;
-    let near = covered.iter().filter(|pair| distance(pair) < NEAR * mean);
-    near.map(|[a, b]| [*a as u32, *b as u32]).collect()
 }
 
 /// Adds the gradient of the prior to the first two entries of each texel's gradient.
@@ -332,10 +306,10 @@ pub fn attach_roughness(world: &mut World, roughness: f32, varied_specular: bool
 }
 
 /// Update: sums the gradients of the specular albedo over all base materials, so that they keep one common albedo.
-pub(crate) fn tie_specular(mut materials: Query<&mut SpecularGradient>) {
+pub(crate) fn tie_specular(mut gradient: ResMut<StepGradient>) {
     let mut sum = [0.0; 3];
-    materials.iter().for_each(|g| (0..3).for_each(|c| sum[c] += g.0[c]));
-    materials.iter_mut().for_each(|mut gradient| gradient.0[..3].copy_from_slice(&sum));
+    gradient.specular.iter().for_each(|of| (0..3).for_each(|c| sum[c] += of.albedo[c]));
+    gradient.specular.iter_mut().for_each(|of| of.albedo = sum);
 }
 
 /// Update: Adam on the texels' roughness and share; clears the gradient.
@@ -383,14 +357,20 @@ mod tests {
 
     #[test]
     fn adjoint_of_logits_is_that_of_the_softmax() {
-        let (logits, adjoint) = ([0.3, -0.7, 0.1], [0.5, -1.0, 2.0]);
-        let softmax = |logits: [f64; 3]| {
+        let logits = [0.3, -0.7, 0.1];
+        let adjoint = [0.5, -1.0, 2.0];
+        let loss = |logits: [f64; 3]| {
             let sum: f64 = logits.iter().map(|l| l.exp()).sum();
-            logits.map(|l| l.exp() / sum)
+            (0..3).map(|k| logits[k].exp() / sum * adjoint[k]).sum::<f64>()
         };
-        let loss = |logits| softmax(logits).iter().zip(adjoint).map(|(w, a)| w * a).sum::<f64>();
-        let wide = |of: [f64; 3]| std::array::from_fn(|k| of.get(k).map_or(0.0, |x| *x as f32));
-        let found = logit_adjoint(&wide(softmax(logits)), &wide(adjoint));
+        let sum: f64 = logits.iter().map(|l: &f64| l.exp()).sum();
+        let mut weights = PerMaterial::default();
+        let mut wide = PerMaterial::default();
+        for k in 0..3 {
+            weights[k] = (logits[k].exp() / sum) as f32;
+            wide[k] = adjoint[k] as f32;
+        }
+        let found = logit_adjoint(&weights, &wide);
         for k in 0..3 {
             let (mut up, mut down) = (logits, logits);
             up[k] += 1e-5;
@@ -402,8 +382,8 @@ mod tests {
 
     #[test]
     fn averaging_keeps_an_even_gradient_and_spreads_an_uneven_one() {
-        let positions: [Vec3; 1000] =
-            std::array::from_fn(|i| Vec3::from([1, 10, 100].map(|step| (i / step % 10) as f32)));
+        let positions: Vec<Vec3> =
+            (0..1000).map(|i| Vec3::new((i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32)).collect();
         let even = BlendGradient([0.5; MAX_SPECULAR_LOBES]);
         let mut gradients = vec![even; positions.len()];
         average_over_cells(&positions, &mut gradients, 4.0);
@@ -447,7 +427,8 @@ mod tests {
         for (roughness, share) in [(0.12, 0.3), (0.2, 0.9), (0.4, 0.5), (0.7, 0.8)] {
             let roughness = TexelRoughness { roughness, share };
             for (k, found) in roughness.adjoint_of(&adjoint).into_iter().enumerate() {
-                let at = |step: f32| loss(roughness.moved([[-step, 0.0], [0.0, -step]][k], true));
+                let at =
+                    |step: f32| loss(roughness.moved(if k == 0 { [-step, 0.0] } else { [0.0, -step] }, true));
                 let exact = (at(5e-3) - at(-5e-3)) / 1e-2;
                 assert!((f64::from(found) - exact).abs() < 2e-3, "{k}: {found} {exact}");
             }
@@ -456,20 +437,22 @@ mod tests {
 
     #[test]
     fn the_gradient_of_variation_agrees_with_differences() {
-        let (smoothness, color_width, neighbors) = (2.0, 0.1, vec![[0, 1], [1, 2]]);
-        let prior = RoughnessPrior { smoothness, color_width, varied_specular: true, neighbors };
+        let neighbors = vec![[0, 1], [1, 2]];
+        let prior = RoughnessPrior { smoothness: 2.0, color_width: 0.1, varied_specular: true, neighbors };
         let roughness = [(0.2, 0.5), (0.21, 0.52), (0.4, 0.9)]
             .map(|(roughness, share)| TexelRoughness { roughness, share });
-        let albedo =
-            [[0.5, 0.4, 0.3], [0.5, 0.45, 0.3], [0.3, 0.4, 0.6]].map(|rgb| DiffuseAlbedo(rgb.into()));
+        let albedo = [Vec3::new(0.5, 0.4, 0.3), Vec3::new(0.5, 0.45, 0.3), Vec3::new(0.3, 0.4, 0.6)]
+            .map(DiffuseAlbedo);
         let value = |roughness: &[TexelRoughness]| -> f64 {
             let pair = |[a, b]: &[u32; 2]| {
                 let (a, b) = (*a as usize, *b as usize);
                 let apart = chromaticity(albedo[a].0).distance(chromaticity(albedo[b].0)) / 0.1;
-                let cost = |ratio: f32| (f64::from(ratio).ln().powi(2) + f64::from(KINK * KINK)).sqrt();
-                let (a, b) = (roughness[a], roughness[b]);
-                let cost = cost(a.roughness / b.roughness) + cost(a.share / b.share);
-                f64::from(prior.smoothness / 2.0 / (1.0 + apart * apart)) * cost
+                let cost = |d: f64| (d * d + f64::from(KINK * KINK)).sqrt();
+                let (r, s) = (
+                    f64::from(roughness[a].roughness / roughness[b].roughness),
+                    f64::from(roughness[a].share / roughness[b].share),
+                );
+                f64::from(prior.smoothness / 2.0 / (1.0 + apart * apart)) * (cost(r.ln()) + cost(s.ln()))
             };
             prior.neighbors.iter().map(pair).sum()
         };
@@ -479,7 +462,8 @@ mod tests {
             for k in 0..2 {
                 let at = |step: f32| {
                     let mut moved = roughness;
-                    moved[texel] = roughness[texel].moved([[-step, 0.0], [0.0, -step]][k], true);
+                    moved[texel] =
+                        roughness[texel].moved(if k == 0 { [-step, 0.0] } else { [0.0, -step] }, true);
                     value(&moved)
                 };
                 let exact = (at(1e-3) - at(-1e-3)) / 2e-3;

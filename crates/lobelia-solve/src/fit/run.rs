@@ -5,8 +5,8 @@
 
 use crate::fit::cameras::{CameraFit, CameraPose};
 use crate::fit::components::{
-    AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
-    StepGradient, StepRates, TexelSeen, Unknowns,
+    AlbedoGradient, AlbedoMoments, LobeMoments, LossState, SpecularMoments, StepGradient, StepRates,
+    TexelSeen, Unknowns,
 };
 use crate::fit::determined::{Determined, measure};
 use crate::fit::exposure::{ExposureChoice, Exposures, find_exposures};
@@ -14,18 +14,14 @@ use crate::fit::groups::{StepPixels, Turns, exchange_light, forget_group_shadows
 use crate::fit::guard::{
     StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound,
 };
-use crate::fit::initialization::initialize_light_and_albedo;
 use crate::fit::loss::{Loss, LossSums, ViewSums, count_pool, sum_by_view};
-use crate::fit::metal::bound_diffuse_albedo;
 use crate::fit::observe::{
-    Candidates, PixelChoice, choose_pixels, count_seen_texels, make_pool, release_pool, spawn_samples,
-    take_observations, trace_pixels,
+    PixelChoice, make_pool, release_pool, spawn_samples, take_observations, trace_pixels,
 };
 use crate::fit::placements::{PlacementPlugin, TurnSums, find_placements, placements_turn};
-use crate::fit::priors::follow_maps;
 use crate::fit::roughness::{
-    BlendAdjoints, BlendGradient, BlendMoments, RoughnessMoments, TexelPlaces, TexelRoughness, move_blends,
-    move_roughness, scatter_to_blends, tie_specular,
+    BlendGradient, BlendMoments, RoughnessMoments, TexelPlaces, TexelRoughness, move_blends, move_roughness,
+    scatter_to_blends, tie_specular,
 };
 use crate::fit::scale::{ScaleMoments, ScaleRule, move_scale, start_scale};
 use crate::fit::sheen::{
@@ -34,41 +30,23 @@ use crate::fit::sheen::{
 };
 use crate::fit::start::{FramesTried, find_start};
 use crate::fit::systems::{
-    compare_with_photographs, hand_out_gradient, move_lobes, move_specular, move_texels, pull_back_radiance,
-    scatter_to_texels,
+    compare_with_photographs, move_lobes, move_specular, move_texels, pull_back_radiance, scatter_to_texels,
 };
+use crate::fit::{metal::bound_diffuse_albedo, priors::follow_maps};
+use crate::prelude::*;
 use crate::shade::frame::{add_gathering, add_material_resources};
-use crate::shade::shade_closed_form;
-use crate::visibility::systems::RefreshDue;
-use crate::visibility::{FitVisibilityPlugin, ObjectVisibility};
-use bevy_ecs::prelude::{Bundle, Entity, IntoScheduleConfigs, Resource, With, Without, World};
-use bevy_ecs::query::QueryFilter;
-use bevy_ecs::schedule::ScheduleConfigs;
-use bevy_ecs::system::ScheduleSystem;
-use lobelia_geometry::error::Result;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
-use lobelia_sg::shading::ClosedForm;
+use crate::visibility::{ObjectVisibility, RefreshDue, WindowVisibility, see_material_of_step};
+use crate::{fit::initialization::initialize_light_and_albedo, shade::shade_closed_form};
+use bevy_ecs::{prelude::Bundle, query::QueryFilter};
 use lobelia_world::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_resource};
-use lobelia_world::light::groups::FittedLobe;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
-use lobelia_world::light::lights::{LightChoice, LobeOf, provide_light};
-use lobelia_world::light::placement::Placements;
-use lobelia_world::light::{LightLobe, lobes_in_use};
+use lobelia_world::light::lights::{LightChoice, provide_light};
+use lobelia_world::light::{groups::FittedLobe, lobes_in_use};
 use lobelia_world::material::material_source::{PlainBlends, RecoveredMaterial};
-use lobelia_world::material::tilt::has_tilt;
-use lobelia_world::material::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
-    first_material, texels_in_order,
-};
-use lobelia_world::pipeline::pool::{read_column, write_column};
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
-use lobelia_world::sample::pixel::Window;
-use lobelia_world::sample::{ObservedWindow, despawn_pool};
-use serde::{Deserialize, Serialize};
-use std::ops::ControlFlow;
+use lobelia_world::material::{first_material, texels_in_order, tilt::has_tilt};
+use lobelia_world::pipeline::{ScatterAdjoints, pool::write_column};
+use lobelia_world::sample::{ObservedWindow, despawn_pool, pixel::Window};
 use std::time::Instant;
-use tracing::info_span;
 
 /// Settings of a fit.
 #[derive(Clone, Debug, PartialEq)]
@@ -232,19 +210,11 @@ impl Plugin for FitPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         OWN_RESOURCES.iter().for_each(|own| own(&mut pipeline.world, true));
         add_material_resources::<RecoveredMaterial>(&mut pipeline.world);
-        pipeline
-            .add_systems(Phase::Prepare, Stage::Sample, choose_pixels)
-            .add_systems(Phase::Prepare, Stage::Trace, trace_pixels)
-            .add_systems(Phase::Prepare, Stage::Gather, count_seen_texels);
-        let loss = (
-            check_shading,
-            find_exposures.run_if(step_is_sound),
-            compare_with_photographs,
-            check_loss,
-            note_residuals.run_if(step_is_sound),
-            sum_by_view,
-        );
-        let scatter = (scatter_to_texels, scatter_to_sheen, scatter_to_blends, hand_out_gradient);
+        pipeline.add_systems(Phase::Prepare, Stage::Trace, trace_pixels);
+        let exposures = find_exposures.run_if(step_is_sound);
+        let residuals = (note_residuals, sum_by_view).chain().run_if(step_is_sound);
+        let loss = (check_shading, exposures, compare_with_photographs, check_loss, residuals);
+        let scatter = (scatter_to_texels, scatter_to_sheen, scatter_to_blends);
         let check = check_adjoints.after(Slot::ShadingAdjoint).before(ScatterAdjoints);
         // A run replaces the systems that shade by those of its closed form.
         pipeline
@@ -277,16 +247,17 @@ impl Plugin for FitPlugin {
         world.remove_resource::<RefreshDue>();
         world.remove_resource::<FramesTried>();
         world.remove_resource::<SheenEvidence>();
-        detach(world);
+        type OfTexel = (AlbedoGradient, TexelSeen, SheenGradient, BlendGradient);
+        remove_from::<With<TexelIndex>, (OfTexel, AlbedoMoments, SheenMoments, BlendMoments)>(world);
+        remove_from::<With<LightLobe>, LobeMoments>(world);
+        remove_from::<With<SpecularLobe>, SpecularMoments>(world);
     }
 }
 
 /// Resources that the plugin brings.
-const OWN_RESOURCES: [fn(&mut World, bool); 11] = [
-    own::<Candidates>,
+const OWN_RESOURCES: [fn(&mut World, bool); 9] = [
     own::<ObservedWindow>,
     own::<StepGradient>,
-    own::<BlendAdjoints>,
     own::<TexelPlaces>,
     own::<ScaleMoments>,
     own::<TurnSums>,
@@ -382,12 +353,11 @@ fn fit(
         }
     }
     let world = &mut pipeline.world;
-    summary.explained_by_sheen =
-        world.get_resource::<SheenEvidence>().and_then(|evidence| evidence.explained);
+    summary.explained_by_sheen = world.get_resource::<SheenEvidence>().and_then(|found| found.explained);
     let is_whole = summary.steps >= options.steps && !is_stopping();
     if options.measures && is_whole && !world.resource::<Exposures>().are_unknown() {
         let _measuring = info_span!("determined").entered();
-        summary.determined = measure(world, options.unknowns, options.form, options.visibility)?;
+        summary.determined = measure(world, options)?;
     }
     summary.elapsed_secs = elapsed();
     Ok(summary)
@@ -435,9 +405,10 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     pipeline.swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(options.form));
     let pixels = make_pool(pipeline)?;
     let shadowed = options.visibility && pipeline.world.contains_resource::<ObjectVisibility>();
-    pipeline.remove_plugin::<FitVisibilityPlugin>();
+    pipeline.clear(Phase::FitStep, Slot::Visibility);
+    pipeline.world.insert_resource(WindowVisibility::default());
     if shadowed {
-        pipeline.add_plugin(&FitVisibilityPlugin);
+        pipeline.swap(Phase::FitStep, Slot::Visibility, see_material_of_step());
     }
     if !options.done.is_pause {
         count_pool(&mut pipeline.world);
@@ -525,11 +496,10 @@ pub fn optimizer_of_texel_roughness() -> ScheduleConfigs<ScheduleSystem> {
     (move_scale, move_texels, move_sheen, move_roughness, move_lobes, tie_specular, move_specular).chain()
 }
 
-/// Gives texels, lobes and base materials zero gradients, and zero moments as well where a fit begins; one that goes on has kept its own.
+/// Gives texels zero gradients, and texels, lobes and base materials zero moments where a fit begins; one that goes on has kept its own.
 fn attach(world: &mut World, sheen: bool, begins: bool) {
-    type OwnLobe = (With<LightLobe>, Without<LobeOf>);
-    let (texels, lobes, own) = (texels_in_order(world), all::<FittedLobe>(world), all::<OwnLobe>(world));
-    let materials = all::<With<SpecularLobe>>(world);
+    let (texels, lobes) = (texels_in_order(world), entities::<FittedLobe>(world));
+    let materials = entities::<With<SpecularLobe>>(world);
     let gradient = (AlbedoGradient::default(), TexelSeen::default());
     let moments = AlbedoMoments::default();
     let (of_sheen, of_blend) = (SheenGradient::default(), BlendGradient::default());
@@ -544,9 +514,8 @@ fn attach(world: &mut World, sheen: bool, begins: bool) {
             give(world, texels, gradients, (moments, sheen_moments, blend_moments), begins);
         }
     }
-    give(world, own, LobeGradient::default(), (), begins);
     give(world, lobes, (), LobeMoments::default(), begins);
-    give(world, materials, SpecularGradient::default(), SpecularMoments::default(), begins);
+    give(world, materials, (), SpecularMoments::default(), begins);
 }
 
 /// Gives gradients, and moments to those that have none or all where a fit `begins`.
@@ -567,21 +536,14 @@ fn give<G: Bundle + Clone, M: Bundle + Clone>(
     }
 }
 
-/// Takes gradients and moments away again.
-fn detach(world: &mut World) {
-    type OfTexel = (AlbedoGradient, TexelSeen, SheenGradient, BlendGradient);
-    remove_from::<With<TexelIndex>, (OfTexel, AlbedoMoments, SheenMoments, BlendMoments)>(world);
-    remove_from::<With<LightLobe>, (LobeGradient, LobeMoments)>(world);
-    remove_from::<With<SpecularLobe>, (SpecularGradient, SpecularMoments)>(world);
-}
-
 /// The entities that a filter selects.
-fn all<F: QueryFilter>(world: &mut World) -> Vec<Entity> {
+pub(crate) fn entities<F: QueryFilter>(world: &mut World) -> Vec<Entity> {
     world.query_filtered::<Entity, F>().iter(world).collect()
 }
 
-fn remove_from<F: QueryFilter, T: Bundle>(world: &mut World) {
-    for entity in all::<F>(world) {
+/// Takes components from the entities that a filter selects.
+pub(super) fn remove_from<F: QueryFilter, T: Bundle>(world: &mut World) {
+    for entity in entities::<F>(world) {
         world.entity_mut(entity).remove::<T>();
     }
 }

@@ -9,32 +9,13 @@
 //!
 //! Metal ([`metal`](crate::fit::metal)) is colored itself, and its specular albedo is divided by the factor too. Its reflections then say nothing
 //! of the factor. What is not metal still has gray highlights; as far as all is metal, the light is taken to be nearly white, and the metal as bright as metals are.
-//!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`move_scale`] | Update, `Slot::Optimizer`, before the others | `Layers` and `PointBlend` of the window, `RadianceAdjoint`, [`ScaleRule`] | `LightLobe`, `DiffuseAlbedo`, `DiffuseSheen`, `SpecularLobe` of metal, [`ScaleMoments`] |
 
 use crate::fit::components::{AdamStep, Moments, StepRates, TexelSeen, Unknowns};
 use crate::fit::metal::{Metals, metalness};
-use bevy_ecs::prelude::{DetectChangesMut, Query, Res, ResMut, Resource, World};
-use glam::{DVec3, Vec3, Vec4};
-use lobelia_geometry::error::Result;
+use crate::prelude::*;
+use bevy_ecs::prelude::DetectChangesMut;
 use lobelia_sg::sg::sphere_integral;
-use lobelia_sg::shading::{Layers, RadianceAdjoint, ShadePoint};
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::groups::FittedLobe;
-use lobelia_world::light::lights::own_lobes;
-use lobelia_world::material::sheen::write_albedo;
-use lobelia_world::material::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe, TexelIndex, Texels, USUAL_ALBEDO,
-};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::read_column;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::point::PointBlend;
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-use std::ops::Range;
+use lobelia_world::{light::groups::FittedLobe, light::lights::own_lobes, material::sheen::write_albedo};
 
 /// The rule for the scale between light and albedo, one factor per channel, when both are unknown.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -161,50 +142,41 @@ struct ScaleEvidence<'a> {
     metals: Metals,
 }
 
-/// Sums over samples of derivatives of the loss with respect to the logarithm of the factor.
-#[derive(Default)]
-struct SampleSums {
-    /// Of the specular light that has the color of the light.
-    highlights: DVec3,
-    /// Of what cannot give way, because albedos are at their bound.
-    bound: DVec3,
-    /// The part of each sample that is metal, summed.
-    metal: f64,
-}
-
 impl ScaleEvidence<'_> {
     /// Derivative of the loss and its priors with respect to the logarithm of the factor: its color (three channels with a mean of 0), its level.
     fn gradient(&self, white_light: f32, off_gray: Vec3, mean_albedo: Vec3) -> Vec4 {
         let count = self.layers.len();
         let runs =
             (0..count.div_ceil(SAMPLES)).into_par_iter().map(|k| k * SAMPLES..count.min((k + 1) * SAMPLES));
-        let of_runs: Vec<SampleSums> = runs.map(|run| self.sums(run)).collect();
-        let total = |of: fn(&SampleSums) -> DVec3| of_runs.iter().map(of).sum::<DVec3>().as_vec3();
-        let (highlights, bound) = (total(|sums| sums.highlights), total(|sums| sums.bound));
-        let metal = (of_runs.iter().map(|sums| sums.metal).sum::<f64>() / count.max(1) as f64) as f32;
+        let of_runs: Vec<_> = runs.map(|run| self.sums(run)).collect();
+        let [highlights, bound] =
+            [0, 1].map(|k| of_runs.iter().map(|(by, _)| by[k]).sum::<DVec3>().as_vec3());
+        let metal = (of_runs.iter().map(|(_, metal)| metal).sum::<f64>() / count.max(1) as f64) as f32;
         let light = lamp_derivative(off_gray) + metal * WHITE_BESIDE_METAL * off_gray;
         let level = level_derivative(bound, mean_albedo)
             + LEVEL_WEIGHT * self.metals.level_derivative(metal, mean_albedo.element_sum() / 3.0);
         without_mean(highlights + white_light * light + bound).extend(level)
     }
 
-    fn sums(&self, run: Range<usize>) -> SampleSums {
-        let mut sums = SampleSums::default();
+    /// Sums over samples: derivatives of the loss with respect to the logarithm of the factor, of the specular light that has the color of the light and
+    /// of what cannot give way, because albedos are at their bound; and the part of each sample that is metal.
+    fn sums(&self, run: Range<usize>) -> ([DVec3; 2], f64) {
+        let (mut highlights, mut bound, mut metal) = (DVec3::ZERO, DVec3::ZERO, 0.0);
         let are_none = self.metals.are_none();
         for i in run {
             let (layers, adjoint) = (&self.layers[i], &self.adjoint[i]);
             let specular = specular_derivative(layers, adjoint);
-            sums.bound += bound_derivative(&self.points[i], layers, adjoint);
+            bound += bound_derivative(&self.points[i], layers, adjoint);
             if are_none {
-                sums.highlights += specular;
+                highlights += specular;
                 continue;
             }
             let blend = &self.blends[i].0;
-            sums.highlights += specular * (Vec3::ONE - self.metals.specular_share(0.0, blend)).as_dvec3();
-            sums.bound += specular * self.metals.specular_share(AT_BOUND, blend).as_dvec3();
-            sums.metal += f64::from(self.metals.share(blend));
+            highlights += specular * (Vec3::ONE - self.metals.specular_share(0.0, blend)).as_dvec3();
+            bound += specular * self.metals.specular_share(AT_BOUND, blend).as_dvec3();
+            metal += f64::from(self.metals.share(blend));
         }
-        sums
+        ([highlights, bound], metal)
     }
 }
 
@@ -326,7 +298,6 @@ fn without_mean(v: Vec3) -> Vec3 {
 mod tests {
     use super::*;
     use crate::fit::loss::{Loss, image_loss};
-    use lobelia_world::sample::pixel::Observed;
 
     #[test]
     fn the_derivative_of_the_scale_agrees_with_differences() {

@@ -3,35 +3,16 @@
 //! The albedo toward a viewer blends both by c = n·v ([`lobelia_world::material::sheen`]), so that the adjoint of a sample's albedo is
 //! shared between them by c and 1 − c. A texel that is seen from few angles keeps its sheen near zero.
 //!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`scatter_to_sheen`] | Gradient, `ScatterAdjoints` | samples, [`KnownAlong`] | [`SheenGradient`], `AlbedoGradient` |
-//! | [`move_sheen`] | Update, `Slot::Optimizer`, instead of `move_texels` | [`SheenGradient`], `AlbedoGradient` | `DiffuseSheen`, `DiffuseAlbedo` |
-//! | [`follow_known`] | Update, after `Slot::Optimizer` | [`KnownAlong`], `DiffuseAlbedo` | `DiffuseSheen` |
-//!
-//! Whether the surface has a sheen is decided by the photographs: a richer material is let in only if it predicts views that it was not
-//! fitted to. A fit without sheen leaves residuals r at observed pixels. In each cell of a lattice over the surface they are explained by a
-//! changed albedo, r = a u, or also by a sheen, r = (a + s (1 − c)) u, where u is the diffuse radiance per unit of albedo. Both are
-//! solved from half of the views and judged on the other half. All of that needs only sums, which the steps of a part of the fit
-//! collect.
+//! Whether the surface has a sheen is decided by the photographs: a richer material is let in only if it predicts views that it was not fitted
+//! to. A fit without sheen leaves residuals r at observed pixels. In each cell of a lattice over the surface they are explained by a changed
+//! albedo, r = a u, or also by a sheen, r = (a + s (1 − c)) u, where u is the diffuse radiance per unit of albedo. Both are solved from half of
+//! the views and judged on the other half. All of that needs only sums, which the steps of a part of the fit collect.
 
 use crate::fit::components::{AdamStep, AlbedoGradient, AlbedoMoments, Moments, StepRates, Unknowns};
-use crate::fit::exposure::Exposures;
-use crate::fit::loss::radiance;
-use crate::fit::systems::moved_color;
-use bevy_ecs::prelude::{Component, Res, ResMut, Resource, With, World};
-use glam::Vec3;
-use lobelia_geometry::view::{Camera, Photograph, Split, ViewIndex};
-use lobelia_sg::shading::{Layers, PointAdjoint, ShadePoint};
+use crate::fit::{exposure::Exposures, loss::radiance, systems::moved_color};
+use crate::prelude::*;
+use lobelia_geometry::view::Split;
 use lobelia_world::material::sheen::{KnownAlong, grazing, has_sheen};
-use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, TexelIndex, Texels};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::read_column;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::point::SurfacePoint;
-use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Gradient of the loss with respect to a texel's albedo along the surface, and the weight of the samples that it sums over.
@@ -92,11 +73,7 @@ pub fn follow_known(
 
 /// Update: Adam on the logits of each texel's albedo straight on and along the surface, instead of
 /// [`move_texels`](crate::fit::systems::move_texels), if the sheen is unknown; clears the gradients.
-pub fn move_sheen(
-    rates: Res<StepRates>,
-    unknowns: Res<Unknowns>,
-    texels: Texels<SheenColumns>,
-) -> SystemResult {
+pub fn move_sheen(rates: Res<StepRates>, unknowns: Res<Unknowns>, texels: Texels<Columns>) -> SystemResult {
     if !unknowns.sheen {
         return Ok(());
     }
@@ -119,7 +96,7 @@ pub fn move_sheen(
     Ok(())
 }
 
-type SheenColumns = (
+type Columns = (
     (&'static mut DiffuseAlbedo, &'static mut DiffuseSheen),
     (&'static mut AlbedoGradient, &'static mut SheenGradient),
     (&'static mut AlbedoMoments, &'static mut SheenMoments),
@@ -195,11 +172,6 @@ pub struct SheenEvidence {
 }
 
 impl SheenEvidence {
-    /// Whether the surface has a sheen, as far as the evidence says.
-    pub fn is_convincing(&self) -> bool {
-        self.explained.is_some_and(|explained| explained > CONVINCING)
-    }
-
     /// The part of the squared residuals of views kept aside that a sheen explains: below 0 if it makes them worse, 0 if there are none.
     fn explained_part(&self) -> f64 {
         let (mut without, mut with) = (0.0, 0.0);
@@ -257,7 +229,7 @@ pub(crate) fn choose_sheen(world: &mut World, progress: f32) {
         evidence.explained = Some(evidence.explained_part());
         evidence.cells.clear();
     }
-    let convincing = evidence.is_convincing();
+    let convincing = evidence.explained.is_some_and(|explained| explained > CONVINCING);
     let mut unknowns = world.resource_mut::<Unknowns>();
     unknowns.sheen |= convincing && unknowns.albedo;
 }
@@ -323,15 +295,13 @@ mod tests {
     }
 
     #[test]
-    fn a_sheen_is_seen_in_views_kept_aside() {
+    fn a_sheen_is_seen_in_views_kept_aside_and_neither_a_wrong_albedo_nor_noise_is_taken_for_one() {
         assert!(evidence(0.1, 0.3, 0.02).explained_part() > 0.7);
         assert!(evidence(0.1, 0.3, 0.2).explained_part() > CONVINCING);
-        // Neither a wrong albedo nor noise is taken for one.
         assert!(evidence(0.3, 0.0, 0.02).explained_part() < CONVINCING);
         assert!(evidence(0.0, 0.0, 0.2).explained_part() < CONVINCING);
         assert_eq!(evidence(0.0, 0.0, 0.0).explained_part(), 0.0);
         assert_eq!(SheenEvidence::default().explained_part(), 0.0);
-        assert!(!SheenEvidence::default().is_convincing());
     }
 
     #[test]
@@ -356,17 +326,18 @@ mod tests {
             let (low, high): (Vec<Vec3>, Vec<Vec3>) = (ring(0.3, 0.0).collect(), ring(2.0, turn).collect());
             let one_by_one: Vec<Vec3> = low.iter().zip(&high).flat_map(|(a, b)| [*a, *b]).collect();
             let after: Vec<Vec3> = [low.clone(), high].concat();
-            let halves = halves_of(&after);
-            for (i, half) in halves_of(&one_by_one).into_iter().enumerate() {
-                assert_eq!(half, halves[i / 2 + 12 * (i % 2)], "{}", one_by_one[i]);
+            let of = |positions: &[Vec3], at: Vec3| {
+                halves_of(positions)[positions.iter().position(|found| *found == at).unwrap()]
+            };
+            for at in &after {
+                assert_eq!(of(&one_by_one, *at), of(&after, *at), "{at}");
             }
-            let seconds =
-                [&halves[..12], &halves[12..]].map(|ring| ring.iter().filter(|half| **half == 1).count());
-            assert!(
-                seconds.iter().all(|second| (3..=9).contains(second)),
-                "{seconds:?} of 12 are in the second half"
-            );
-            assert_eq!(seconds[0] + seconds[1], 12);
+            for ring in after.chunks(12) {
+                let second = ring.iter().filter(|at| of(&after, **at) == 1).count();
+                assert!((3..=9).contains(&second), "{second} of 12 are in the second half");
+            }
+            let all: usize = halves_of(&after).iter().map(|half| usize::from(*half)).sum();
+            assert_eq!(all, 12);
         }
         assert_eq!(halves_of(&[Vec3::X; 3]).len(), 3);
         assert!(halves_of(&[]).is_empty());

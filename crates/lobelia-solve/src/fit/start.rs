@@ -9,18 +9,8 @@
 use crate::fit::components::Unknowns;
 use crate::fit::initialization::{Known, least_rough, lobes_of, with_initialization};
 use crate::fit::placements::{camera_axes, placements_are_open};
-use bevy_ecs::prelude::{Resource, With, World};
-use glam::Vec3;
-use lobelia_geometry::error::Result;
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::view::Placement;
-use lobelia_sg::shading::ClosedForm;
-use lobelia_world::light::LightLobe;
+use crate::prelude::*;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame, turning_axis};
-use lobelia_world::light::placement::Placements;
-use lobelia_world::material::{BaseMaterial, SpecularLobe, recovered_albedo, recovered_materials};
-use serde::{Deserialize, Serialize};
-use tracing::info_span;
 
 /// Fewest views that tell frames apart.
 const LEAST_VIEWS: usize = 6;
@@ -120,10 +110,11 @@ fn errors(
         for at in near(&errors) {
             world.insert_resource(OwnLightFrame(frames[at]));
             let known = Known { form, specular: tried[0], unknowns, object: None, in_part: true, placement };
-            with_initialization(world, known, |problem| {
+            with_initialization(world, known, |problems| {
+                let problem = &mut problems[0];
                 for lobe in tried {
                     let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
-                    problem.specular = *lobe;
+                    problem.known.specular = *lobe;
                     problem.alternate(&mut lobes, &mut texels)?;
                     errors[at].push(problem.error(&lobes, &texels)?);
                 }

@@ -4,33 +4,17 @@
 //! bits do not depend on which process has which chunk.
 
 use crate::fit::components::{
-    AdamStep, AlbedoGradient, AlbedoMoments, Bounded, LobeGradient, LobeMoments, LossState, Moments,
-    SpecularGradient, SpecularMoments, StepGradient, StepRates, Unknowns,
+    AdamStep, AlbedoGradient, AlbedoMoments, Bounded, LobeMoments, LossState, Moments, SpecularMoments,
+    StepGradient, StepRates, Unknowns,
 };
-use crate::fit::exposure::Exposures;
-use crate::fit::loss::image_loss;
 use crate::fit::metal::{DIELECTRIC_ALBEDO, is_dielectric};
-use crate::fit::roughness::{BlendAdjoints, PerMaterial};
+use crate::fit::{exposure::Exposures, loss::image_loss, roughness::PerMaterial};
+use crate::prelude::*;
 use crate::shade::device::{ShadingDevice, failed, loops_of};
 use crate::shade::systems::{Showing, kernel_materials};
 use crate::visibility::WindowVisibility;
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut};
-use bevy_ecs::schedule::ScheduleConfigs;
-use bevy_ecs::system::ScheduleSystem;
-use glam::Vec3;
-use lobelia_sg::shading::{
-    CHUNK, ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, PointAdjoint, PointVisibility,
-    RadianceAdjoint, RadianceColumns, ShadeCall, ShadePoint, SharedGradient, SpecularAdjoint, SpecularValue,
-};
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::lights::IncidentLight;
-use lobelia_world::material::material_source::BaseMaterials;
-use lobelia_world::material::{BaseMaterial, DiffuseAlbedo, SpecularLobe, Texels};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::point::{PointBlend, SurfacePoint};
-use lobelia_world::sample::{LightRotations, Samples};
-use rayon::prelude::*;
+use lobelia_sg::shading::{CHUNK, RadianceColumns, ShadeCall, SharedGradient, SpecularAdjoint};
+use lobelia_world::sample::LightRotations;
 
 /// Range of roughness in a fit; highlights of lower roughness are too narrow for single precision and for the pixels that show them.
 pub const ROUGHNESS_RANGE: Bounded = Bounded { low: 0.03, high: 1.0 };
@@ -68,7 +52,6 @@ pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
                        materials: Res<BaseMaterials>,
                        visibility: Option<Res<WindowVisibility>>,
                        mut gradient: ResMut<StepGradient>,
-                       mut blend_adjoints: ResMut<BlendAdjoints>,
                        (turns, device): (LightRotations, Option<Res<ShadingDevice>>),
                        samples: Samples<PullBackColumns>|
           -> SystemResult {
@@ -80,7 +63,7 @@ pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
             many @ [_, ..] if materials.blended => {
                 let (points, blends, seen) = (&*points, &*blends, &*seen);
                 let samples = BlendedSamples { points, blends, seen, shaded: &shaded, adjoint: &adjoint };
-                pull_back_blended(form, &samples, many, lighting, &mut back, gradient, &mut blend_adjoints.0);
+                pull_back_blended(form, &samples, many, lighting, &mut back, gradient);
             }
             materials => {
                 let one = materials.first().map_or(SpecularValue::default(), |(_, one)| *one);
@@ -120,27 +103,6 @@ pub fn scatter_to_texels(
     Ok(())
 }
 
-/// Gradient: writes the gradient of each light lobe and base material to its entity.
-pub fn hand_out_gradient(
-    gradient: Res<StepGradient>,
-    light: Res<IncidentLight>,
-    base_materials: Res<BaseMaterials>,
-    mut lobes: Query<&mut LobeGradient>,
-    mut materials: Query<&mut SpecularGradient>,
-) {
-    for (i, entity) in light.entities.iter().enumerate() {
-        let Ok(mut share) = lobes.get_mut(*entity) else { continue };
-        let lobe = gradient.shared.lobes.get(i);
-        let ([x, y, z], [r, g, b]) = (lobe.axis, lobe.amplitude);
-        share.0 = [x, y, z, lobe.sharpness, r, g, b];
-    }
-    for (entity, specular) in base_materials.entities.iter().zip(&gradient.specular) {
-        let Ok(mut share) = materials.get_mut(*entity) else { continue };
-        let [r, g, b] = specular.albedo;
-        share.0 = [r, g, b, specular.roughness];
-    }
-}
-
 /// Update: Adam on the logit of each texel's albedo, if it has no unknown sheen; clears the gradient.
 pub fn move_texels(
     rates: Res<StepRates>,
@@ -173,22 +135,25 @@ pub(super) fn moved_color(adam: &AdamStep, color: Vec3, gradient: Vec3, moments:
 
 /// Update: Adam on lobe axes (on the sphere), log sharpness and log amplitude.
 pub fn move_lobes(
-    rates: Res<StepRates>,
-    unknowns: Res<Unknowns>,
-    mut lobes: Query<(&mut LightLobe, &LobeGradient, &mut LobeMoments)>,
+    (rates, unknowns): (Res<StepRates>, Res<Unknowns>),
+    light: Res<IncidentLight>,
+    gradient: Res<StepGradient>,
+    mut lobes: Query<(&mut LightLobe, &mut LobeMoments)>,
 ) {
     if !unknowns.light {
         return;
     }
     let adam = AdamStep::new(rates.light, rates.step);
-    for (mut lobe, gradient, mut moments) in &mut lobes {
-        let [x, y, z, sharpness, r, g, b] = gradient.0;
-        let along = Vec3::new(x, y, z);
+    for (i, entity) in light.entities.iter().enumerate() {
+        let Ok((mut lobe, mut moments)) = lobes.get_mut(*entity) else { continue };
+        let gradient = gradient.shared.lobes.get(i);
+        let along = Vec3::from(gradient.axis);
         // An axis of angular width 1/√λ moves in units of that width.
         let width = 1.0 / lobe.sharpness.max(1.0).sqrt();
         let [tx, ty, tz] = ((along - lobe.axis * lobe.axis.dot(along)) * width).to_array();
-        let [ar, ag, ab] = (Vec3::new(r, g, b) * lobe.amplitude).to_array();
-        let step = adam.advance(&mut moments.0, &[tx, ty, tz, sharpness * lobe.sharpness, ar, ag, ab]);
+        let [r, g, b] = (Vec3::from(gradient.amplitude) * lobe.amplitude).to_array();
+        let by_logs = [tx, ty, tz, gradient.sharpness * lobe.sharpness, r, g, b];
+        let step = adam.advance(&mut moments.0, &by_logs);
         let axis = lobe.axis - Vec3::new(step[0], step[1], step[2]) * width;
         let amplitude = lobe.amplitude * Vec3::new(-step[4], -step[5], -step[6]).exp();
         *lobe = LightLobe {
@@ -201,16 +166,18 @@ pub fn move_lobes(
 
 /// Update: Adam on the logits of specular albedo and roughness.
 pub fn move_specular(
-    rates: Res<StepRates>,
-    unknowns: Res<Unknowns>,
-    mut materials: Query<(&BaseMaterial, &mut SpecularLobe, &SpecularGradient, &mut SpecularMoments)>,
+    (rates, unknowns): (Res<StepRates>, Res<Unknowns>),
+    base_materials: Res<BaseMaterials>,
+    gradient: Res<StepGradient>,
+    mut materials: Query<(&BaseMaterial, &mut SpecularLobe, &mut SpecularMoments)>,
 ) {
     let adam = AdamStep::new(rates.specular, rates.step);
-    for (number, mut lobe, gradient, mut moments) in &mut materials {
+    for (entity, gradient) in base_materials.entities.iter().zip(&gradient.specular) {
+        let Ok((number, mut lobe, mut moments)) = materials.get_mut(*entity) else { continue };
         let dielectric = is_dielectric(&unknowns, *number);
         let mut by_logit: [f32; 4] = std::array::from_fn(|i| match i {
-            3 => gradient.0[3] * ROUGHNESS_RANGE.derivative(lobe.roughness),
-            c => gradient.0[c] * Bounded::UNIT.derivative(lobe.albedo[c]),
+            3 => gradient.roughness * ROUGHNESS_RANGE.derivative(lobe.roughness),
+            c => gradient.albedo[c] * Bounded::UNIT.derivative(lobe.albedo[c]),
         });
         if unknowns.mono_specular || dielectric {
             let mean = (by_logit[0] + by_logit[1] + by_logit[2]) / 3.0;
@@ -242,20 +209,6 @@ struct BlendedSamples<'a> {
     adjoint: &'a [RadianceAdjoint],
 }
 
-impl BlendedSamples<'_> {
-    /// Chunk `index` of [`CHUNK`] samples.
-    fn chunk(&self, index: usize) -> Self {
-        let rows = index * CHUNK..self.points.len().min((index + 1) * CHUNK);
-        Self {
-            points: &self.points[rows.clone()],
-            blends: &self.blends[rows.clone()],
-            seen: &self.seen[rows.clone()],
-            shaded: &self.shaded[rows.clone()],
-            adjoint: &self.adjoint[rows],
-        }
-    }
-}
-
 /// The adjoint of shading with several materials, chunk by chunk: one material at a time, at the samples that have it; diffuse light and
 /// interreflection belong to the first material of a sample. The adjoint of a zero weight is left at zero.
 fn pull_back_blended(
@@ -265,19 +218,14 @@ fn pull_back_blended(
     lighting: Lighting<'_>,
     back: &mut [PointAdjoint],
     gradient: &mut StepGradient,
-    blend_adjoints: &mut Vec<PerMaterial>,
 ) {
-    blend_adjoints.clear();
-    blend_adjoints.resize(samples.points.len(), PerMaterial::default());
-    let rows = lighting.visibility.map_or(&[][..], |v| v.lobes);
-    let lighting =
-        Lighting { visibility: Some(LobeVisibility { lobes: rows, points: samples.seen }), ..lighting };
-    let out = back.par_chunks_mut(CHUNK).zip(blend_adjoints.par_chunks_mut(CHUNK)).enumerate();
-    let of_chunk = |(chunk, out): (usize, (&mut [PointAdjoint], &mut [PerMaterial]))| {
-        let lighting = Lighting { visibility: lighting.chunk(chunk, CHUNK), ..lighting };
-        pull_back_chunk(form, &samples.chunk(chunk), materials, lighting, out)
-    };
-    let chunks: Vec<BlendedSums> = out.map(of_chunk).collect();
+    gradient.blends.clear();
+    gradient.blends.resize(samples.points.len(), PerMaterial::default());
+    let lobes = lighting.visibility.map_or(&[][..], |v| v.lobes);
+    let lighting = Lighting { visibility: Some(LobeVisibility { lobes, points: samples.seen }), ..lighting };
+    let out = back.par_chunks_mut(CHUNK).zip(gradient.blends.par_chunks_mut(CHUNK)).enumerate();
+    let chunks: Vec<BlendedSums> =
+        out.map(|(chunk, out)| pull_back_chunk(form, samples, chunk, materials, lighting, out)).collect();
     let mut lobes = LobeColumns::zeros(lighting.lobes.len());
     gradient.specular = vec![SpecularAdjoint::default(); materials.len()];
     for chunk in &chunks {
@@ -293,44 +241,48 @@ fn pull_back_blended(
 /// Gradient of what the samples of a chunk share: the light, and each base material.
 type BlendedSums = (LobeColumns, Vec<SpecularAdjoint>);
 
-/// The adjoint of one chunk; adjoints of its samples and of their blend weights go to `out`.
+/// The adjoint of one chunk of [`CHUNK`] samples; adjoints of these and of their blend weights go to `out`.
 fn pull_back_chunk(
     form: ClosedForm,
     samples: &BlendedSamples<'_>,
+    chunk: usize,
     materials: &[(usize, SpecularValue)],
     lighting: Lighting<'_>,
     (back, blend_adjoints): (&mut [PointAdjoint], &mut [PerMaterial]),
 ) -> BlendedSums {
     back.fill(PointAdjoint::default());
+    let rows = chunk * CHUNK..chunk * CHUNK + back.len();
+    let (points, blends) = (&samples.points[rows.clone()], &samples.blends[rows.clone()]);
+    let (shaded, adjoint) = (&samples.shaded[rows.clone()], &samples.adjoint[rows]);
+    let lighting = Lighting { visibility: lighting.chunk(chunk, CHUNK), ..lighting };
     let mut sums = (LobeColumns::zeros(lighting.lobes.len()), Vec::new());
-    let mut has_diffuse = vec![false; samples.points.len()];
+    let mut has_diffuse = vec![false; points.len()];
     for (place, (number, material)) in materials.iter().enumerate() {
-        let mut showing = Showing::new(samples.points, samples.blends, lighting, materials, place);
+        let mut showing = Showing::new(points, blends, lighting, materials, place);
         let is_first = |i: &usize| !std::mem::replace(&mut has_diffuse[*i], true);
         let first: Vec<bool> = showing.numbers.iter().map(is_first).collect();
         for (point, _) in showing.points.iter_mut().zip(&first).filter(|(_, first)| !**first) {
             point.albedo = [0.0; 3];
         }
-        let adjoint: Vec<RadianceAdjoint> = showing.numbers.iter().map(|i| samples.adjoint[*i]).collect();
+        let adjoint: Vec<RadianceAdjoint> = showing.numbers.iter().map(|i| adjoint[*i]).collect();
         let mut layers = vec![Layers::default(); first.len()];
         form.shade(&showing.points, material, showing.lighting(lighting), &mut layers);
         for ((i, value), adjoint) in showing.numbers.iter().zip(&mut layers).zip(&adjoint) {
             blend_adjoints[*i][*number] = (0..3).map(|c| adjoint.0[c] * value.specular[c]).sum();
-            value.diffuse = samples.shaded[*i].diffuse;
+            value.diffuse = shaded[*i].diffuse;
         }
         let mut is_first = first.iter();
         showing.change_seen(|i, seen| {
-            seen.specular = seen.specular.map(|s| s * samples.blends[i].0[*number]);
+            seen.specular = seen.specular.map(|s| s * blends[i].0[*number]);
             if is_first.next() == Some(&false) {
                 seen.indirect = [0.0; 3];
             }
         });
-        let (mut points, mut shared) =
-            (vec![PointAdjoint::default(); first.len()], SharedGradient::default());
+        let (mut own, mut shared) = (vec![PointAdjoint::default(); first.len()], SharedGradient::default());
         let radiance = RadianceColumns { shaded: &layers, adjoint: &adjoint };
         let lighting = showing.lighting(lighting);
-        form.shade_adjoint(&showing.points, material, lighting, radiance, &mut points, &mut shared);
-        for ((i, one), first) in showing.numbers.iter().zip(&points).zip(&first) {
+        form.shade_adjoint(&showing.points, material, lighting, radiance, &mut own, &mut shared);
+        for ((i, one), first) in showing.numbers.iter().zip(&own).zip(&first) {
             let sum = &mut back[*i];
             sum.normal = std::array::from_fn(|c| sum.normal[c] + one.normal[c]);
             if *first {
@@ -366,10 +318,8 @@ mod tests {
     impl Blended {
         fn new() -> Self {
             let work = lobelia_sg::workload::Workload::new(COUNT, 20, 0.3);
-            let blend = |part: f32| PointBlend(std::array::from_fn(|k| [1.0 - part, part, 0.0][k.min(2)]));
             Self {
-                // From the first material to the second.
-                blends: (0..COUNT).map(|i| 0.05 + 0.9 * i as f32 / (COUNT - 1) as f32).map(blend).collect(),
+                blends: (0..COUNT).map(|i| ramp(0.05 + 0.9 * i as f32 / (COUNT - 1) as f32)).collect(),
                 seen: vec![PointVisibility { specular: [0.5, 0.8, 1.2], indirect: [0.1, 0.2, 0.3] }; COUNT],
                 materials: [0.25, 0.5].map(|roughness| SpecularValue { roughness, ..work.specular }),
                 points: work.points,
@@ -398,21 +348,27 @@ mod tests {
 
         /// The loss of which [`ADJOINT`] is the derivative.
         fn loss(&self) -> f64 {
-            let of_channel = |l: &Layers, c: usize| f64::from(ADJOINT[c] * (l.diffuse[c] + l.specular[c]));
-            self.radiance().iter().flat_map(|l| [0, 1, 2].map(|c| of_channel(l, c))).sum()
+            let of_point = |l: &Layers| -> f32 {
+                (0..3).map(|c| ADJOINT[c] * (l.diffuse[c] + l.specular[c])).sum::<f32>()
+            };
+            self.radiance().iter().map(|layers| f64::from(of_point(layers))).sum()
         }
 
         /// The gradient of the loss: with respect to what points share, and to the blends of each.
-        fn pull_back(&self) -> (StepGradient, Vec<PerMaterial>) {
-            let Self { points, blends, seen, .. } = self;
-            let (shaded, adjoint) = (&self.radiance(), &vec![RadianceAdjoint(ADJOINT); points.len()]);
-            let samples = BlendedSamples { points, blends, seen, shaded, adjoint };
+        fn pull_back(&self) -> StepGradient {
+            let (shaded, adjoint) = (self.radiance(), vec![RadianceAdjoint(ADJOINT); self.points.len()]);
+            let samples = BlendedSamples {
+                points: &self.points,
+                blends: &self.blends,
+                seen: &self.seen,
+                shaded: &shaded,
+                adjoint: &adjoint,
+            };
             let numbered = [(0, self.materials[0]), (1, self.materials[1])];
             let mut back = vec![PointAdjoint::default(); self.points.len()];
-            let (mut gradient, mut to_blends) = (StepGradient::default(), Vec::new());
-            let (form, lighting) = (ClosedForm::default(), self.lighting());
-            pull_back_blended(form, &samples, &numbered, lighting, &mut back, &mut gradient, &mut to_blends);
-            (gradient, to_blends)
+            let (mut gradient, form) = (StepGradient::default(), ClosedForm::default());
+            pull_back_blended(form, &samples, &numbered, self.lighting(), &mut back, &mut gradient);
+            gradient
         }
     }
 
@@ -420,7 +376,7 @@ mod tests {
     #[test]
     fn the_adjoint_of_blended_shading_agrees_with_differences() {
         let scene = Blended::new();
-        let (gradient, to_blends) = scene.pull_back();
+        let gradient = scene.pull_back();
         let base = scene.loss();
         let close = |name: &str, found: f32, moved: &Blended, step: f64| {
             let exact = (moved.loss() - base) / step;
@@ -432,7 +388,7 @@ mod tests {
             close("specular albedo", gradient.specular[k].albedo[1], &moved, 0.25);
             let mut moved = scene.clone();
             moved.blends.iter_mut().for_each(|blend| blend.0[k] += 0.25);
-            close("weight", to_blends.iter().map(|adjoint| adjoint[k]).sum(), &moved, 0.25);
+            close("weight", gradient.blends.iter().map(|adjoint| adjoint[k]).sum(), &moved, 0.25);
         }
         let brighter = |i: usize| {
             let mut lobe = scene.lobes.get(i);
@@ -441,5 +397,12 @@ mod tests {
         };
         let moved = Blended { lobes: LobeColumns::from_lobes((0..20).map(brighter)), ..scene.clone() };
         close("amplitude", gradient.shared.lobes.get(3).amplitude[2], &moved, 1.0);
+    }
+
+    /// All of the second material at 1, of the first at 0.
+    fn ramp(part: f32) -> PointBlend {
+        let mut blend = PointBlend::default();
+        (blend.0[0], blend.0[1]) = (1.0 - part, part);
+        blend
     }
 }

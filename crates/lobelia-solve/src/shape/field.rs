@@ -1,15 +1,11 @@
-//! The SDF as parameters: bricks of 8 × 8 × 8 values near the surface are entities, the field with all values a resource.
+//! The SDF as parameters: all its values, and bricks of 8 × 8 × 8 of them near the surface, which move.
 //!
 //! A sample's normal is that of the interpolated central differences, so its adjoint is propagated to the gradients at eight
 //! vertices first, and from there by one divergence stencil to the values. The position moves along its ray as the values change
 //! (implicit differentiation; IDR eq. 3, Niemeyer et al. 2020): dx/dφ = −d / (∇φ·d).
 
-use bevy_ecs::prelude::{Component, Resource};
-use glam::{UVec3, Vec3, Vec4};
-use lobelia_geometry::sdf::SdfGrid;
+use crate::prelude::*;
 use lobelia_geometry::sdf::volume::SdfSurface;
-use lobelia_world::pipeline::pool::pool_index;
-use rayon::prelude::*;
 
 pub(crate) const BRICK_SIDE: u32 = 8;
 pub(crate) const BRICK_LEN: usize = 512;
@@ -18,18 +14,9 @@ pub(crate) const BAND_CELLS: f32 = 3.0;
 /// Lower bound of |∇φ·d| in the adjoint of a position, because the derivative is unbounded at grazing rays.
 const LEAST_DERIVATIVE: f32 = 0.15;
 
-pool_index! {
-    /// Row of a brick.
-    BrickIndex("brick");
-}
-
 /// Lowest vertex of a brick.
-#[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BrickAt(pub UVec3);
-
-/// Running mean of a brick's gradient.
-#[derive(Component, Clone, Copy, Debug, PartialEq)]
-pub struct BrickMoments(pub [f32; BRICK_LEN]);
 
 /// The field as the Trace stage reads it, and its adjoints.
 #[derive(Resource, Clone, Debug)]
@@ -42,6 +29,10 @@ pub struct SdfField {
     pub scratch: [Vec<f32>; 2],
     /// Running mean square of the gradient.
     pub mean_square: f32,
+    /// The bricks, lowest first.
+    pub bricks: Vec<BrickAt>,
+    /// Running means of their gradients.
+    pub moments: Vec<[f32; BRICK_LEN]>,
 }
 
 impl SdfField {
@@ -49,7 +40,9 @@ impl SdfField {
     pub fn new(surface: SdfSurface) -> Self {
         let adjoint = FieldAdjoint::zeros(&surface.grid);
         let blank = vec![0.0; surface.grid.values.len()];
-        Self { surface, adjoint, scratch: [blank.clone(), blank], mean_square: 0.0 }
+        let bricks = bricks_near_surface(&surface.grid);
+        let moments = vec![[0.0; BRICK_LEN]; bricks.len()];
+        Self { surface, adjoint, scratch: [blank.clone(), blank], mean_square: 0.0, bricks, moments }
     }
 }
 
@@ -105,7 +98,7 @@ impl ModelError {
 }
 
 /// The bricks with a value near the zero level, lowest first.
-pub(crate) fn bricks_near_surface(grid: &SdfGrid) -> Vec<BrickAt> {
+fn bricks_near_surface(grid: &SdfGrid) -> Vec<BrickAt> {
     let bricks = grid.side.div_ceil(BRICK_SIDE);
     let reach = BAND_CELLS * grid.spacing;
     let near = |at: &BrickAt| {
@@ -297,7 +290,6 @@ impl FieldAdjoint {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lobelia_sg::ray::Ray;
 
     fn is_interior(grid: &SdfGrid, row: usize) -> bool {
         let vertex = grid.vertex(row);

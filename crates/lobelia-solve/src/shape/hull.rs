@@ -16,18 +16,9 @@
 //! A field has floaters: space that no mask contradicts. They project into the masks, but always onto what the object covers anyway. A
 //! part of the object, such as a link of a chain, is needed: without it masks have pixels that show nothing ([`extract_parts`]).
 
+use crate::prelude::*;
 use crate::shape::silhouette::{MIN_VIEWS, Sighting, Silhouette};
-use glam::{Mat3, Vec3};
-use lobelia_geometry::error::stop::{check_interrupted, is_stopping};
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::sdf::SdfGrid;
-use lobelia_geometry::sdf::extract::extract_components;
-use lobelia_geometry::view::raster::signed_distance;
-use lobelia_geometry::view::{Mask, StoredMask};
-use lobelia_geometry::{Error, Result};
-use lobelia_sg::ray::Ray;
-use rayon::prelude::*;
+use lobelia_geometry::{sdf::extract::extract_components, view::Mask, view::raster::signed_distance};
 
 /// Share of the views that see a point whose masks may be wrong there.
 pub(super) const FORGIVEN: f32 = 0.02;
@@ -266,8 +257,7 @@ pub fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<Vec<Stri
         });
         if all == 0 { 1.0 } else { hit as f32 / all as f32 }
     };
-    let mut shares: Vec<(f32, &str)> =
-        silhouettes.par_iter().map(|view| (covered(view), view.name.as_str())).collect();
+    let mut shares: Vec<_> = silhouettes.par_iter().map(|view| (covered(view), view.name.as_str())).collect();
     check_interrupted()?;
     shares.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(b.1)));
     let percent = |share: f32| (100.0 * share).round();
@@ -335,7 +325,7 @@ fn mark_trusted(silhouettes: &mut [Silhouette], surface: &SdfGrid) {
     };
     let values = (0..surface.values.len()).into_par_iter().map(carved).collect();
     let carved = SdfGrid { values, ..*surface };
-    let check = |view: &Silhouette| taken_pixels(view, silhouettes, surface, &carved);
+    let check = |view: &Silhouette| takers(view, silhouettes, surface, &carved);
     let checks: Vec<(usize, Vec<usize>)> = silhouettes.par_iter().map(check).collect();
     let most = TAKEN_SHARE * checks.iter().map(|(checked, _)| *checked as f32).sum::<f32>();
     let mut taken = vec![0; silhouettes.len()];
@@ -346,12 +336,7 @@ fn mark_trusted(silhouettes: &mut [Silhouette], surface: &SdfGrid) {
 
 /// The number of pixels of a view that were checked, and for each of them whose ray meets the surface, but nothing once it is carved, the
 /// rows of the views that carve there.
-fn taken_pixels(
-    view: &Silhouette,
-    all: &[Silhouette],
-    surface: &SdfGrid,
-    carved: &SdfGrid,
-) -> (usize, Vec<usize>) {
+fn takers(view: &Silhouette, all: &[Silhouette], surface: &SdfGrid, carved: &SdfGrid) -> (usize, Vec<usize>) {
     let depth = CHECK_DEPTH.max(CHECK_CELLS * view.cell_pixels(surface));
     let (mut checked, mut takers) = (0, Vec::new());
     let pixels = (0..view.pixel_count()).step_by(CHECK_STRIDE);
@@ -415,7 +400,6 @@ mod tests {
     use super::*;
     use crate::shape::test_support::{around, meets_ball, silhouettes, silhouettes_but};
     use glam::Vec3A;
-    use lobelia_geometry::view::Camera;
 
     const BALL: f32 = 0.9;
     const SIZE: u32 = 96;

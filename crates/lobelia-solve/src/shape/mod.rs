@@ -27,7 +27,7 @@ pub mod silhouette;
 pub mod stereo;
 pub mod systems;
 #[cfg(test)]
-mod test_support;
+pub(crate) mod test_support;
 mod unseen;
 pub mod vertices;
 

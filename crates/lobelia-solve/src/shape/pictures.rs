@@ -1,14 +1,11 @@
 //! Photographs with masks as small pictures of the object alone, in gray for stereo and in color for hollows.
 
+use crate::fit::loss::coded_luminance;
+use crate::prelude::*;
 use crate::shape::silhouette::{Silhouette, pixel_size};
-use glam::{Vec3, Vec3A};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::view::{Camera, Photograph, PixelWindow, Placement, StoredMask, ViewIndex};
-use lobelia_sg::color::{luminance, srgb_from_linear};
-use lobelia_sg::ray::Ray;
-use lobelia_sg::statistics::median;
-use rayon::prelude::*;
+use glam::Vec3A;
+use lobelia_geometry::view::PixelWindow;
+use lobelia_sg::color::srgb_from_linear;
 use std::ops::RangeInclusive;
 
 /// Coverage of a block of pixels from which it shows the object alone.
@@ -58,7 +55,7 @@ impl PixelValue for u16 {
     const NONE: Self = 0;
 
     fn of(light: Vec3) -> Self {
-        (1.0 + srgb_from_linear(luminance(light).clamp(0.0, 1.0)) * 65534.0) as Self
+        (1.0 + coded_luminance(light) * 65534.0) as Self
     }
 
     #[inline]
@@ -146,10 +143,8 @@ impl<V: PixelValue> SmallPicture<V> {
     pub fn cast(&self, bvh: &TriangleBvh) -> Vec<Seen> {
         let seen = |(ray, value): (Ray, &V)| {
             let hit = if value.is_alone() && !is_stopping() { bvh.nearest(&ray, 0.0) } else { None };
-            hit.map_or(Seen { distance: f32::INFINITY, triangle: 0 }, |hit| Seen {
-                distance: hit.distance,
-                triangle: hit.triangle,
-            })
+            let (distance, triangle) = hit.map_or((f32::INFINITY, 0), |hit| (hit.distance, hit.triangle));
+            Seen { distance, triangle }
         };
         self.rays().zip(&self.values).map(seen).collect()
     }

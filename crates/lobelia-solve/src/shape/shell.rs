@@ -1,9 +1,7 @@
 //! The merged vertices of a mesh: a graph with positions and normals, its smoothing, and thin plates on it.
 
-use glam::Vec3;
-use lobelia_geometry::mesh::triangles::Mesh;
+use crate::prelude::*;
 use lobelia_sg::linear::conjugate_gradients;
-use rayon::prelude::*;
 
 /// Iterations of conjugate gradients for smoothing, and for plates.
 const ROUNDS: usize = 24;
@@ -54,14 +52,11 @@ impl VertexGraph {
         (0..count).into_par_iter().with_min_len(TASK).map(|i| value(i, self.around(i))).collect()
     }
 
-    /// (I + λL) x.
-    fn stiffened(&self, x: &[f32], lambda: f32) -> Vec<f32> {
-        self.each(|i, around| x[i] + lambda * (around.len() as f32 * x[i] - sum(x, around)))
-    }
-
     /// (I + λL)⁻¹ b.
     pub(crate) fn smoothed(&self, b: &[f32], lambda: f32) -> Vec<f32> {
-        conjugate_gradients(|x| self.stiffened(x, lambda), b.to_vec(), &vec![1.0; b.len()], 1e-8, ROUNDS)
+        let apply =
+            |x: &[f32]| self.each(|i, near| x[i] + lambda * (near.len() as f32 * x[i] - sum(x, near)));
+        conjugate_gradients(apply, b.to_vec(), &vec![1.0; b.len()], 1e-8, ROUNDS)
     }
 
     /// The mean over neighbors less the own value, L x.

@@ -6,16 +6,10 @@
 //! pixels. The loss is Huber's of c minus the coverage of the mask; its gradient acts on the surface at the point where the ray is nearest.
 
 use crate::fit::cameras::AlignedRow;
+use crate::prelude::*;
 use crate::shape::{flood, neighbors};
-use bevy_ecs::prelude::Component;
-use glam::{Vec2, Vec3};
 use half::f16;
-use lobelia_geometry::sdf::{LeastDistance, SdfGrid};
-use lobelia_geometry::view::raster::signed_distance;
-use lobelia_geometry::view::{Camera, PixelWindow, StoredMask, ViewIndex};
-use lobelia_sg::ray::Ray;
-use lobelia_world::pipeline::pool::pool_index;
-use lobelia_world::sample::pixel::PixelOf;
+use lobelia_geometry::{sdf::LeastDistance, view::PixelWindow, view::raster::signed_distance};
 
 /// Pixels from the border of a frame within which a view abstains, and the same as a share of the frame's shorter side:
 /// masks are often trimmed there.
@@ -218,13 +212,12 @@ pub(super) fn pixel_size(camera: &Camera) -> f32 {
     2.0 / (camera.focal[0] + camera.focal[1])
 }
 
-pool_index! {
-    /// Row of a pixel near a silhouette, in the order in which a fit visits them.
-    SilhouetteIndex("silhouette sample");
-}
+/// The pixels near silhouettes, in the order in which a fit visits them.
+#[derive(Resource)]
+pub struct SilhouetteSamples(pub Vec<SilhouetteSample>);
 
 /// A pixel near a silhouette.
-#[derive(Component, Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SilhouetteSample {
     /// The pixel.
     pub pixel: PixelOf,

@@ -1,28 +1,14 @@
 //! The systems that fit an SDF: retrace, propagate adjoints, smooth, update. Each fetches columns and calls a kernel.
 
-use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, FIRST_STEP, are_usable, retrace};
-use crate::fit::components::StepRates;
-use crate::fit::exposure::Exposures;
+use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, FIRST_STEP, add_rows, retrace};
 use crate::fit::guard::{StepGuard, is_usable};
+use crate::fit::loss::{coded_luminance, radiance};
+use crate::fit::{components::StepRates, exposure::Exposures};
+use crate::prelude::*;
 use crate::shape::field::{
-    BAND_CELLS, BrickAt, BrickIndex, BrickMoments, ModelError, RunValues, SampleAdjoint, SdfField, VertexRun,
-    each, write_runs,
+    BAND_CELLS, BrickAt, ModelError, RunValues, SampleAdjoint, SdfField, VertexRun, each, write_runs,
 };
-use crate::shape::silhouette::{SilhouetteIndex, SilhouetteSample, aligned_silhouette, loss_derivative};
-use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With};
-use glam::{Vec3, Vec4};
-use lobelia_geometry::sdf::SdfGrid;
-use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex};
-use lobelia_sg::color::{luminance, srgb_from_linear};
-use lobelia_sg::shading::{Layers, PointAdjoint};
-use lobelia_world::material::{DiffuseAlbedo, Texels};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::Pool;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay};
-use lobelia_world::sample::point::SurfacePoint;
-use rayon::prelude::*;
-use std::ops::Range;
+use crate::shape::silhouette::{SilhouetteSample, SilhouetteSamples, aligned_silhouette, loss_derivative};
 
 /// Schedule of the optimization of the shape.
 #[derive(Resource, Clone, Copy, Debug, PartialEq)]
@@ -108,11 +94,9 @@ pub(crate) fn sum_model_error(
         return Ok(());
     }
     let (points, shaded, observed, pixels) = samples.columns()?;
-    let code = |radiance: Vec3| srgb_from_linear(luminance(radiance).clamp(0.0, 1.0));
     for (i, point) in points.iter().enumerate().filter(|(_, point)| point.is_hit()) {
-        let radiance = Vec3::from(shaded[i].diffuse) + Vec3::from(shaded[i].specular);
-        let shown = code(exposures.factor(pixels[i].view) * radiance);
-        error.add(point.position, (shown - code(observed[i].radiance)).powi(2));
+        let shown = coded_luminance(exposures.factor(pixels[i].view) * radiance(&shaded[i]));
+        error.add(point.position, (shown - coded_luminance(observed[i].radiance)).powi(2));
     }
     Ok(())
 }
@@ -126,22 +110,16 @@ pub(super) fn root_mean_square(back: &[PointAdjoint]) -> f32 {
     (sum / back.len().max(1) as f64).sqrt() as f32
 }
 
-/// The pixels near silhouettes, as a system parameter.
-pub type Silhouettes<'w, 's, D> = Pool<'w, 's, SilhouetteIndex, D>;
-
-/// The bricks of the field, as a system parameter.
-pub type Bricks<'w, 's, D> = Pool<'w, 's, BrickIndex, D>;
-
 /// Trace: casts the silhouette rays of this step through the current cameras.
 pub fn recast_silhouettes(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
     views: Query<(&ViewIndex, &Camera), With<Photograph>>,
-    samples: Silhouettes<&mut SilhouetteSample>,
+    mut samples: ResMut<SilhouetteSamples>,
 ) -> SystemResult {
     let cameras: ByView<&Camera> = views.iter().map(|(index, camera)| (*index, camera)).collect();
-    let mut samples = samples.rows_of(|count| schedule.silhouette_rows(rates.step, count))?;
-    for sample in samples.iter_mut() {
+    let rows = schedule.silhouette_rows(rates.step, samples.0.len());
+    for sample in &mut samples.0[rows] {
         sample.ray = cameras.of(sample.pixel.view)?.pixel_ray(sample.pixel.pixel);
     }
     Ok(())
@@ -155,7 +133,7 @@ pub fn align_silhouettes(
     mut fit: ResMut<CameraFit>,
     mut guard: ResMut<StepGuard>,
     mut views: Query<(&ViewIndex, &Camera, &mut CameraPose), With<Photograph>>,
-    samples: Silhouettes<&SilhouetteSample>,
+    samples: Res<SilhouetteSamples>,
 ) -> SystemResult {
     let Some(center) = fit.center.filter(|_| rates.step >= FIRST_STEP) else { return Ok(()) };
     let mut views: ByView<_> = views.iter_mut().map(|view| (*view.0, view)).collect();
@@ -164,15 +142,9 @@ pub fn align_silhouettes(
         let (_, camera, _) = views.of(sample.pixel.view).ok()?;
         Some((sample.pixel.view, aligned_silhouette(grid, camera, center, sample)?))
     };
-    let samples = samples.rows_of(|count| schedule.silhouette_rows(rates.step, count))?;
+    let samples = &samples.0[schedule.silhouette_rows(rates.step, samples.0.len())];
     let rows: Vec<(ViewIndex, AlignedRow)> = samples.par_iter().with_min_len(64).filter_map(row).collect();
-    if !are_usable(&rows, &mut guard) {
-        return Ok(());
-    }
-    let noise = fit.observe(1, &rows);
-    for (view, row) in &rows {
-        views.of_mut(*view)?.2.add(row, noise);
-    }
+    add_rows(1, &rows, &mut fit, &mut guard, &mut views)?;
     Ok(())
 }
 
@@ -180,11 +152,11 @@ pub fn align_silhouettes(
 pub fn pull_back_silhouettes(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
-    samples: Silhouettes<&SilhouetteSample>,
+    samples: Res<SilhouetteSamples>,
     mut field: ResMut<SdfField>,
-) -> SystemResult {
-    let Some(progress) = schedule.progress(rates.step) else { return Ok(()) };
-    let samples = samples.rows_of(|count| schedule.silhouette_rows(rates.step, count))?;
+) {
+    let Some(progress) = schedule.progress(rates.step) else { return };
+    let samples = &samples.0[schedule.silhouette_rows(rates.step, samples.0.len())];
     // The width decreases from four pixels to one, from robust to precise.
     let width = 4.0 - 3.0 * progress;
     let SdfField { surface, adjoint, .. } = &mut *field;
@@ -194,7 +166,6 @@ pub fn pull_back_silhouettes(
     for (position, derivative) in derivatives.into_iter().flatten() {
         adjoint.add_value(&surface.grid, position, each * derivative);
     }
-    Ok(())
 }
 
 /// Gradient: writes the gradient of the values in bricks, with the smoothness term, blurred, and looks for those that are not finite; clears
@@ -202,13 +173,11 @@ pub fn pull_back_silhouettes(
 pub fn smooth_gradient(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
-    bricks: Bricks<&BrickAt>,
     mut field: ResMut<SdfField>,
     mut guard: ResMut<StepGuard>,
-) -> SystemResult {
-    let Some(progress) = schedule.progress(rates.step) else { return Ok(()) };
-    let at = &*bricks.columns()?;
-    let SdfField { surface, adjoint, scratch, .. } = &mut *field;
+) {
+    let Some(progress) = schedule.progress(rates.step) else { return };
+    let SdfField { surface, adjoint, scratch, bricks: at, .. } = &mut *field;
     let (grid, [from, to]) = (&surface.grid, &mut *scratch);
     // The gradient of the squared Laplacian is the Laplacian of the Laplacian.
     fill(grid, at, from, |run| laplacian(grid, run, &grid.values));
@@ -216,10 +185,8 @@ pub fn smooth_gradient(
     let smoothness = relaxed / (grid.spacing * grid.spacing);
     fill(grid, at, to, |run| {
         let curved = laplacian(grid, run, from);
-        let pulled = |k: usize| match k < run.len {
-            true => adjoint.of_row(grid, run.row + k, run.interior),
-            false => 0.0,
-        };
+        let row = |k: usize| adjoint.of_row(grid, run.row + k, run.interior);
+        let pulled = |k: usize| if k < run.len { row(k) } else { 0.0 };
         each(|half| {
             Vec4::from_array(std::array::from_fn(|k| pulled(4 * half + k))) + smoothness * curved[half]
         })
@@ -244,7 +211,6 @@ pub fn smooth_gradient(
         write_runs(grid, at, &mut adjoint.value, |_, _, values| values.fill(0.0));
         write_runs(grid, at, &mut adjoint.gradient, |_, _, gradients| gradients.fill(Vec3::ZERO));
     }
-    Ok(())
 }
 
 /// The mean of the six neighbors of each vertex of a run minus its own value; 0 near the border.
@@ -280,16 +246,9 @@ const SQUARE_DECAY: f32 = 0.99;
 const STEP_LIMIT: f32 = 0.25;
 
 /// Update: momentum steps with one common scale, so that smooth gradients give smooth steps; redistances periodically.
-pub fn move_bricks(
-    rates: Res<StepRates>,
-    schedule: Res<ShapeSchedule>,
-    bricks: Bricks<(&BrickAt, &mut BrickMoments)>,
-    mut field: ResMut<SdfField>,
-) -> SystemResult {
-    let Some(progress) = schedule.progress(rates.step) else { return Ok(()) };
-    let (at, moments) = bricks.columns()?;
-    let (at, mut moments) = (&*at, moments.quiet());
-    let SdfField { surface, scratch: [_, gradient], mean_square, .. } = &mut *field;
+pub fn move_bricks(rates: Res<StepRates>, schedule: Res<ShapeSchedule>, mut field: ResMut<SdfField>) {
+    let Some(progress) = schedule.progress(rates.step) else { return };
+    let SdfField { surface, scratch: [_, gradient], mean_square, bricks: at, moments, .. } = &mut *field;
     let grid = &mut surface.grid;
     // Mean square of the entries that are not zero.
     let (mut sum, mut entries) = (0.0f64, 0u64);
@@ -306,16 +265,16 @@ pub fn move_bricks(
     let (first, last) = schedule.rates;
     let h = grid.spacing;
     let scale = first * (last / first).powf(progress) * h / rms;
-    moments.par_iter_mut().zip(at).with_min_len(16).for_each(|(moments, at)| {
+    moments.par_iter_mut().zip(&*at).with_min_len(16).for_each(|(moments, at)| {
         for run in at.runs(grid) {
-            for (mean, g) in moments.0[run.places()].iter_mut().zip(&gradient[run.rows()]) {
+            for (mean, g) in moments[run.places()].iter_mut().zip(&gradient[run.rows()]) {
                 *mean = MEAN_DECAY * *mean + (1.0 - MEAN_DECAY) * g;
             }
         }
     });
     let mut values = std::mem::take(&mut grid.values);
     write_runs(grid, at, &mut values, |brick, run, rows| {
-        for (value, mean) in rows.iter_mut().zip(&moments[brick].0[run.places()]) {
+        for (value, mean) in rows.iter_mut().zip(&moments[brick][run.places()]) {
             *value -= (scale * mean).clamp(-STEP_LIMIT * h, STEP_LIMIT * h);
         }
     });
@@ -323,5 +282,4 @@ pub fn move_bricks(
     if count.is_multiple_of(schedule.redistance_every) {
         grid.redistance_near();
     }
-    Ok(())
 }

@@ -1,12 +1,9 @@
 //! Cameras around an object, and what they show of it.
 
-use crate::shape::pictures::TrainingView;
-use crate::shape::silhouette::Silhouette;
-use glam::Vec3;
-use lobelia_geometry::sdf::SdfGrid;
-use lobelia_geometry::view::{Camera, Image, Mask, Photograph, Placement, StoredMask, ViewIndex};
-use lobelia_sg::ray::Ray;
-use rayon::prelude::*;
+use crate::prelude::*;
+use crate::shape::{pictures::TrainingView, silhouette::Silhouette};
+use lobelia_geometry::view::{Image, Mask, StoredMask};
+use lobelia_sg::ray::{Hit, Intersect, TexelAddress};
 
 pub(crate) fn around(count: usize, distance: f32, size: u32) -> Vec<Camera> {
     Camera::around(count, distance, 40.0, size).unwrap()
@@ -78,5 +75,26 @@ impl Pictures {
 
     pub(crate) fn silhouettes(&self) -> Vec<Silhouette> {
         self.views().iter().filter_map(TrainingView::silhouette).collect()
+    }
+}
+
+/// All that is beyond 1 along an axis.
+pub(crate) struct Wall(pub(crate) Vec3);
+
+impl Intersect for Wall {
+    fn intersect(&self, ray: &Ray, _: f32) -> Option<Hit> {
+        let distance = (1.0 - ray.origin.dot(self.0)) / ray.direction.dot(self.0);
+        (distance > 0.0 && self.occluded(ray, 0.0, 0.0)).then(|| Hit {
+            distance,
+            position: ray.origin + distance * ray.direction,
+            normal: -self.0,
+            geometric_normal: -self.0,
+            uv: glam::Vec2::ZERO,
+            texels: TexelAddress { weights: [0.25; 4], ..TexelAddress::default() },
+        })
+    }
+
+    fn occluded(&self, ray: &Ray, _: f32, _: f32) -> bool {
+        ray.direction.dot(self.0) > 0.0
     }
 }

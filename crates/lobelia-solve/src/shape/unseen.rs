@@ -8,19 +8,14 @@
 //! Source: motion of level sets by mean curvature (Osher and Sethian, "Fronts Propagating with Curvature-Dependent Speed", 1988,
 //! ∂φ/∂t = κ |∇φ|).
 
-use crate::shape::silhouette::Silhouette;
-use crate::shape::{cube, is_border, volume};
-use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::sdf::SdfGrid;
-use rayon::prelude::*;
+use crate::prelude::*;
+use crate::shape::{cube, is_border, silhouette::Silhouette, volume};
 
 /// Cosine of the angle between ray and normal from which one view, and from which each of two, sees a surface: flatter rays only touch the
 /// cone that the masks leave.
 const ONE_VIEW: f32 = 0.5;
 const TWO_VIEWS: f32 = 0.2;
-/// Rays of a view per cell, along each axis; cells, and most pixels, within the outline of a mask from which a pixel must not lose its
-/// surface.
+/// Rays of a view per cell, along each axis; cells, and most pixels, within the outline of a mask from which a pixel must not lose its surface.
 const RAYS_PER_CELL: f32 = 2.0;
 const DEPTH: f32 = 1.0;
 const MOST_DEPTH: f32 = 12.0;
@@ -188,9 +183,8 @@ fn lost(hull: &SdfGrid, now: &SdfGrid, silhouettes: &[Silhouette]) -> Vec<bool> 
         let depth = (DEPTH * view.cell_pixels(hull)).min(MOST_DEPTH);
         let inner = mask_pixels(hull, view).filter(|&pixel| view.distance(pixel) < -depth);
         let rays = inner.map(|pixel| view.ray(pixel)).filter(|ray| now.first_crossing(ray, 0.0).is_none());
-        let points =
-            rays.filter_map(|ray| Some(ray.origin + ray.direction * hull.first_crossing(&ray, 0.0)?));
-        points.flat_map(|point| hull.corners(point).map(|(row, _)| row)).collect()
+        let met = rays.filter_map(|ray| Some(ray.origin + ray.direction * hull.first_crossing(&ray, 0.0)?));
+        met.flat_map(|point| hull.corners(point).map(|(row, _)| row)).collect()
     };
     let rows: Vec<Vec<usize>> = silhouettes.par_iter().map(of_view).collect();
     let mut is_lost = vec![false; hull.values.len()];
@@ -201,9 +195,7 @@ fn lost(hull: &SdfGrid, now: &SdfGrid, silhouettes: &[Silhouette]) -> Vec<bool> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shape::hull::visual_hull;
-    use crate::shape::test_support;
-    use lobelia_geometry::view::Camera;
+    use crate::shape::{hull::visual_hull, test_support};
 
     /// The masks of a field, by cameras on a part of a circle at a height.
     fn silhouettes(height: f32, circle: f32, of: impl Fn(Vec3) -> f32 + Sync) -> Vec<Silhouette> {

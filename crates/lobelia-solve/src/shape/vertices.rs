@@ -6,25 +6,12 @@
 //! A printed pattern that the texture is too coarse for looks like slopes and would move them as well. Masks are not deceived: every
 //! few moves the contours are brought back to their outlines (`outline`).
 
-use crate::fit::components::StepRates;
 use crate::fit::guard::{StepGuard, is_usable};
-use crate::shape::outline::OutlineGuide;
+use crate::prelude::*;
 use crate::shape::shell::{Shell, VertexGraph, by_axis, pull_back_unit};
-use crate::shape::silhouette::Silhouette;
 use crate::shape::systems::{OUTLIER, root_mean_square};
-use bevy_ecs::prelude::{Component, Entity, Res, ResMut, Resource, With, World};
-use glam::Vec3;
-use lobelia_geometry::mesh::Surface;
-use lobelia_geometry::mesh::bvh::{TriangleBvh, TriangleHit};
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_sg::shading::PointAdjoint;
-use lobelia_world::pipeline::pool::{Pool, pool_index};
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::pixel::ViewRay;
-use lobelia_world::sample::point::{Scenery, SurfacePoint};
-use rayon::prelude::*;
-use std::sync::Arc;
+use crate::{fit::components::StepRates, shape::outline::OutlineGuide, shape::silhouette::Silhouette};
+use lobelia_geometry::mesh::{Surface, bvh::TriangleHit};
 
 /// Steps between two moves; adjoints are summed over these.
 const MOVE_EVERY: u32 = 12;
@@ -41,26 +28,6 @@ const WIDE: f32 = 200.0;
 const REACH: f32 = 0.2;
 /// Decay factor of the running mean, per move.
 const MEAN_DECAY: f32 = 0.8;
-pool_index! {
-    /// Row of a vertex of the moving mesh.
-    VertexIndex("vertex");
-}
-
-/// The vertices of the moving mesh, as a system parameter.
-pub type Vertices<'w, 's, D> = Pool<'w, 's, VertexIndex, D>;
-
-/// World position of a vertex; vertices at the same position are merged.
-#[derive(Component, Clone, Copy, Debug, PartialEq)]
-pub struct VertexPosition(pub Vec3);
-
-/// Adjoint of a vertex's unit normal, summed since the last move.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
-pub struct VertexAdjoint(pub Vec3);
-
-/// Running mean of the smoothed gradient of a vertex along its normal.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
-pub struct VertexMoment(pub f32);
-
 /// The mesh that moves.
 #[derive(Resource)]
 pub struct MovingMesh {
@@ -68,8 +35,13 @@ pub struct MovingMesh {
     pub surface: Arc<Surface>,
     /// Its merged vertices, as they were at the last look at the outlines.
     shell: Shell,
-    /// The given positions.
+    /// The given positions of the merged vertices, and those now.
     start: Vec<Vec3>,
+    positions: Vec<Vec3>,
+    /// Adjoint of each vertex's unit normal, summed since the last move.
+    adjoint: Vec<Vec3>,
+    /// Running mean of the smoothed gradient of each vertex along its normal.
+    moments: Vec<f32>,
     /// Guide that holds the contours, if there are masks.
     outlines: Option<OutlineGuide>,
     /// The hits of the rays of the window.
@@ -94,13 +66,12 @@ impl Plugin for VertexPlugin {
         let masks = Some(self.silhouettes.clone()).filter(|masks| !masks.is_empty());
         let guide = |masks| OutlineGuide::new(&shell, &TriangleBvh::new(self.surface.mesh()), masks);
         let outlines = masks.map(guide);
-        let vertex = |(index, at): (u32, &Vec3)| {
-            (VertexIndex(index), VertexPosition(*at), VertexAdjoint::default(), VertexMoment::default())
-        };
-        pipeline.world.spawn_batch((0..).zip(&shell.positions).map(vertex).collect::<Vec<_>>());
         pipeline.world.insert_resource(MovingMesh {
             surface: self.surface.clone(),
             start: shell.positions.clone(),
+            positions: shell.positions.clone(),
+            adjoint: vec![Vec3::ZERO; shell.positions.len()],
+            moments: vec![0.0; shell.positions.len()],
             shell,
             outlines,
             found: Vec::new(),
@@ -113,9 +84,6 @@ impl Plugin for VertexPlugin {
     }
 
     fn cleanup(world: &mut World) {
-        let mut query = world.query_filtered::<Entity, With<VertexIndex>>();
-        let vertices: Vec<Entity> = query.iter(world).collect();
-        vertices.into_iter().for_each(|vertex| _ = world.despawn(vertex));
         world.remove_resource::<MovingMesh>();
     }
 }
@@ -138,14 +106,11 @@ pub fn retrace_vertices(
 
 /// Gradient: propagates the normal adjoints of the samples to the normals of vertices.
 pub fn pull_back_to_vertices(
-    mesh: Res<MovingMesh>,
+    mut mesh: ResMut<MovingMesh>,
     mut guard: ResMut<StepGuard>,
     samples: Samples<(&SurfacePoint, &PointAdjoint)>,
-    vertices: Vertices<&mut VertexAdjoint>,
 ) -> SystemResult {
     let (points, back) = samples.columns()?;
-    let mut vertices = vertices.columns()?.quiet();
-    let vertices = &mut *vertices;
     let limit = OUTLIER * root_mean_square(&back);
     let normals = &mesh.surface.mesh().normals;
     let mut shares = Vec::new();
@@ -161,35 +126,26 @@ pub fn pull_back_to_vertices(
     // Sums last for several steps: nothing of one that is not taken reaches them.
     match shares.iter().find(|(_, share)| !is_usable(&share.to_array())) {
         Some((vertex, _)) => guard.find("the gradient", None, format!("vertex {vertex} of the surface")),
-        None => shares.iter().for_each(|(vertex, share)| vertices[*vertex as usize].0 += *share),
+        None => shares.iter().for_each(|(vertex, share)| mesh.adjoint[*vertex as usize] += *share),
     }
     Ok(())
 }
 
 /// Update: every `MOVE_EVERY` steps, one smoothed step of all vertices along their normals; resets the sums.
-pub fn move_vertices(
-    rates: Res<StepRates>,
-    mut mesh: ResMut<MovingMesh>,
-    mut scenery: ResMut<Scenery>,
-    vertices: Vertices<(&mut VertexPosition, &mut VertexAdjoint, &mut VertexMoment)>,
-) -> SystemResult {
-    let (mut positions, adjoint, moments) = vertices.columns()?;
-    let (mut adjoint, mut moments) = (adjoint.quiet(), moments.quiet());
-    let done = rates.step as f32 / mesh.steps.max(1) as f32;
+pub fn move_vertices(rates: Res<StepRates>, mut mesh: ResMut<MovingMesh>, mut scenery: ResMut<Scenery>) {
+    let MovingMesh { surface, shell, start, positions, adjoint, moments, outlines, steps, .. } = &mut *mesh;
+    let done = rates.step as f32 / (*steps).max(1) as f32;
     if done < HELD {
-        adjoint.fill(VertexAdjoint::default());
-        return Ok(());
+        return adjoint.fill(Vec3::ZERO);
     }
     if !rates.step.is_multiple_of(MOVE_EVERY) {
-        return Ok(());
+        return;
     }
-    let MovingMesh { surface, shell, start, outlines, steps, .. } = &mut *mesh;
-    let at: Vec<Vec3> = positions.iter().map(|p| p.0).collect();
-    let by_normal: Vec<Vec3> = adjoint.iter().map(|a| a.0).collect();
-    adjoint.fill(VertexAdjoint::default());
-    let along = smooth_steps(&shell.graph, &at, &by_normal, &mut moments);
-    let rate = RATES.0 * (RATES.1 / RATES.0).powf((done - HELD) / (1.0 - HELD)) * shell.graph.mean_edge(&at);
-    let moved: Vec<Vec3> = at.iter().zip(&along).map(|(at, step)| at - rate * step).collect();
+    let along = smooth_steps(&shell.graph, positions, adjoint, moments);
+    adjoint.fill(Vec3::ZERO);
+    let edge = shell.graph.mean_edge(positions);
+    let rate = RATES.0 * (RATES.1 / RATES.0).powf((done - HELD) / (1.0 - HELD)) * edge;
+    let moved: Vec<Vec3> = positions.iter().zip(&along).map(|(at, step)| at - rate * step).collect();
     let reach = REACH * shell.graph.mean_edge(start);
     // Without the low-frequency part of their displacement, and not far from where they were given.
     let narrow = without_wide(&shell.graph, start, moved);
@@ -197,8 +153,7 @@ pub fn move_vertices(
     let mut moved: Vec<Vec3> = start.iter().zip(narrow).map(near).collect();
     // A move that makes a triangle degenerate is rejected, and one that is not finite starts again from rest.
     if moved.iter().any(|at| !at.is_finite()) {
-        moments.fill(VertexMoment::default());
-        return Ok(());
+        return moments.fill(0.0);
     }
     let mut placed = surface.mesh().clone();
     place(&mut placed, &shell.graph, &moved);
@@ -209,8 +164,7 @@ pub fn move_vertices(
     {
         shell.move_to(moved);
         let along = outlines.displacements(shell, &TriangleBvh::new(&placed));
-        let to =
-            |(i, along): (usize, &f32)| shell.positions[i] + shell.normals[i] * along.clamp(-reach, reach);
+        let to = |(i, by): (usize, &f32)| shell.positions[i] + shell.normals[i] * by.clamp(-reach, reach);
         moved = along.iter().enumerate().map(to).collect();
         placed = surface.mesh().clone();
         place(&mut placed, &shell.graph, &moved);
@@ -218,9 +172,8 @@ pub fn move_vertices(
     if let Ok(found) = Surface::new(placed, surface.atlas().width) {
         *surface = Arc::new(found);
         scenery.0 = surface.clone();
-        positions.iter_mut().zip(&moved).for_each(|(position, moved)| position.0 = *moved);
+        *positions = moved;
     }
-    Ok(())
 }
 
 /// Positions without the low-frequency part of their displacement from `start` along each axis.
@@ -233,20 +186,14 @@ fn without_wide(graph: &VertexGraph, start: &[Vec3], moved: Vec<Vec3>) -> Vec<Ve
 }
 
 /// Steps of the vertices along their normals, with a root mean square of 1.
-fn smooth_steps(
-    graph: &VertexGraph,
-    positions: &[Vec3],
-    by_normal: &[Vec3],
-    moments: &mut [VertexMoment],
-) -> Vec<Vec3> {
-    let normals = graph.normals(positions);
-    let back = graph.pull_back_normals(positions, by_normal);
+fn smooth_steps(graph: &VertexGraph, at: &[Vec3], by_normal: &[Vec3], moments: &mut [f32]) -> Vec<Vec3> {
+    let normals = graph.normals(at);
+    let back = graph.pull_back_normals(at, by_normal);
     let gradients: Vec<f32> = back.iter().zip(&normals).map(|(back, normal)| back.dot(*normal)).collect();
     for (moment, gradient) in moments.iter_mut().zip(graph.smoothed(&gradients, SMOOTHING)) {
-        moment.0 = MEAN_DECAY * moment.0 + (1.0 - MEAN_DECAY) * gradient;
+        *moment = MEAN_DECAY * *moment + (1.0 - MEAN_DECAY) * gradient;
     }
-    let means: Vec<f32> = moments.iter().map(|m| m.0).collect();
-    let along = graph.smoothed(&means, SMOOTHING);
+    let along = graph.smoothed(moments, SMOOTHING);
     let sum: f64 = along.iter().map(|a| f64::from(a * a)).sum();
     let rms = (sum / along.len().max(1) as f64).sqrt().max(1e-30) as f32;
     along.iter().zip(&normals).map(|(along, normal)| *normal * (along / rms)).collect()
@@ -305,7 +252,7 @@ mod tests {
         };
         let size = |off: &[Vec3]| off.iter().map(|d| f64::from(d.length_squared())).sum::<f64>();
         let (before, edge) = (size(&off(&positions)), graph.mean_edge(&positions));
-        let mut moments = vec![VertexMoment::default(); positions.len()];
+        let mut moments = vec![0.0; positions.len()];
         for _ in 0..60 {
             let steps = smooth_steps(&graph, &positions, &off(&positions), &mut moments);
             positions.iter_mut().zip(&steps).for_each(|(at, step)| *at -= 0.04 * edge * step);

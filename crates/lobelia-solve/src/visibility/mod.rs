@@ -8,19 +8,133 @@
 //! | `texel_visibility` | the occluded directions of each texel, and the texels that occlude them |
 //! | `occlusion` | kernels: light on a set of directions, and the part of it that reaches texels |
 //! | `point_visibility` | kernels: the part of it that reaches points, and what narrow lobes mirror of the object |
-//! | [`systems`] | the systems in `Slot::Visibility`, and their run conditions |
 //!
 //! Diffuse light has one factor per texel and lobe, interpolated at the point like albedo, so that the light can be fitted with it.
 //! Specular light has one per point, for the mirror direction and the mean roughness of the base materials there. In the adjoint all
 //! factors and the interreflection are constant.
+//!
+//! Shadows and interreflection are updated when light or material have changed (`light_or_material_changed`), in a fit at most
+//! every few steps (`refresh_is_due`).
 
 mod object_visibility;
 pub(crate) mod occlusion;
 mod point_visibility;
-pub mod systems;
 pub mod texel_visibility;
+
+use crate::prelude::*;
+use bevy_ecs::prelude::{Changed, Or, SystemCondition};
+use lobelia_world::material::material_source::{
+    ColumnOf, Holds, MaterialSource, MaterialTexels, RecoveredMaterial, ShownMaterial,
+};
+use lobelia_world::{material::sheen::mean_albedo, sample::LightRotations};
+use object_visibility::Made;
+use std::any::TypeId;
 
 pub use object_visibility::{ObjectVisibility, VisibilitySettings, WindowVisibility};
 pub use occlusion::Reflectance;
 pub use point_visibility::LobeRays;
-pub use systems::{FitVisibilityPlugin, FrameVisibilityPlugin};
+
+/// Whether this step of a fit updates shadows and interreflection; a fit does so every few steps.
+#[derive(Resource, Clone, Copy, Debug)]
+pub struct RefreshDue(pub bool);
+
+/// Shadows and interreflection of the shown material in the Frame phase; needs an [`ObjectVisibility`].
+pub struct FrameVisibilityPlugin;
+
+impl Plugin for FrameVisibilityPlugin {
+    fn build(&self, pipeline: &mut Pipeline) {
+        pipeline.world.init_resource::<WindowVisibility>();
+        pipeline.swap(Phase::Frame, Slot::Visibility, see_material::<ShownMaterial>());
+    }
+
+    fn cleanup(world: &mut World) {
+        world.insert_resource(WindowVisibility::default());
+    }
+}
+
+/// Shadows and interreflection of a material, updated whenever it or the light has changed.
+pub(crate) fn see_material<M: MaterialSource>() -> ScheduleConfigs<ScheduleSystem> {
+    let refresh = refresh_visibility::<M>.run_if(light_or_material_changed::<M>);
+    (refresh, gather_visibility::<false>).chain()
+}
+
+/// Shadows and interreflection of the recovered material in a step of a fit, updated if [`RefreshDue`] is set; needs an [`ObjectVisibility`].
+pub(crate) fn see_material_of_step() -> ScheduleConfigs<ScheduleSystem> {
+    let is_due = refresh_is_due.and_then(light_or_material_changed::<RecoveredMaterial>);
+    (refresh_visibility::<RecoveredMaterial>.run_if(is_due), gather_visibility::<true>).chain()
+}
+
+/// Run condition: whether this step of a fit updates visibility, or the set of lobes has changed.
+pub fn refresh_is_due(
+    due: Res<RefreshDue>,
+    light: Res<IncidentLight>,
+    object: Option<Res<ObjectVisibility>>,
+) -> bool {
+    due.0 || object.is_none_or(|object| object.stride != light.lobes.stride())
+}
+
+/// Changes of light and material that affect shadows and interreflection.
+type Inputs<M> = Or<(
+    Changed<LightLobe>,
+    Changed<ColumnOf<M, SpecularLobe>>,
+    Changed<ColumnOf<M, DiffuseAlbedo>>,
+    Changed<ColumnOf<M, DiffuseSheen>>,
+    Changed<ColumnOf<M, SpecularBlend>>,
+)>;
+
+/// Run condition: whether light or material have changed since the last call, or the last update was for other entities.
+pub fn light_or_material_changed<M: MaterialSource>(
+    light: Res<IncidentLight>,
+    materials: Res<BaseMaterials>,
+    object: Option<Res<ObjectVisibility>>,
+    changed: Query<(), Inputs<M>>,
+) -> bool {
+    let made = Some(inputs::<M>(&light, &materials));
+    object.is_none_or(|object| object.made != made) || !changed.is_empty()
+}
+
+fn inputs<M: MaterialSource>(light: &IncidentLight, materials: &BaseMaterials) -> Made {
+    let sources = light.entities.iter().chain(&materials.entities).copied().collect();
+    (sources, light.turn, TypeId::of::<M>())
+}
+
+/// Gather: computes shadows and interreflection for the current light and material.
+pub fn refresh_visibility<M: MaterialSource>(
+    light: Res<IncidentLight>,
+    materials: Res<BaseMaterials>,
+    texels: MaterialTexels<M>,
+    turns: LightRotations,
+    mut object: ResMut<ObjectVisibility>,
+) -> SystemResult {
+    let (albedo, sheen, _, blends) = texels.columns()?;
+    // Specular light of a second reflection is treated as diffuse, but where rays find it.
+    let reflectance = |texel: u32| {
+        let blend = blends[texel as usize].value();
+        Reflectance {
+            diffuse: mean_albedo(albedo[texel as usize].value().0, sheen[texel as usize].value().0),
+            specular: materials.by_number().map(|(k, lobe)| lobe.albedo * blend.0[k]).sum(),
+            roughness: blend.roughness(materials.by_number()),
+        }
+    };
+    object.refresh(&light.lobes, turns.by_view().all(), &reflectance);
+    object.made = Some(inputs::<M>(&light, &materials));
+    Ok(())
+}
+
+/// Gather: the visibility of the points of the window; with fewer rays in a step of a fit.
+pub fn gather_visibility<const OF_STEP: bool>(
+    object: Res<ObjectVisibility>,
+    (materials, scenery): (Res<BaseMaterials>, Res<Scenery>),
+    samples: Samples<(&SurfacePoint, &ViewRay, &PixelOf, &PointBlend, &mut PointVisibility)>,
+    mut out: ResMut<WindowVisibility>,
+) -> SystemResult {
+    let (points, rays, pixels, blends, mut seen) = samples.columns()?;
+    let viewer = |i: usize| (-rays[i].0.direction, pixels[i]);
+    let mean = |i: usize| match materials.lobes.as_slice() {
+        [(_, one)] => one.roughness,
+        _ => SpecularBlend(blends[i].0).roughness(materials.by_number()),
+    };
+    let lobe_rays = LobeRays::new(&*scenery.0, OF_STEP);
+    object.window(&points, viewer, mean, Some(lobe_rays), &mut out, &mut seen);
+    Ok(())
+}

@@ -1,21 +1,14 @@
 //! [`ObjectVisibility`]: the occlusion of an object by itself, and the light on it at the last update.
 
+use crate::prelude::*;
 use crate::visibility::occlusion::{Behind, Bounce, Mirror, Reflectance, Sky, light_chunk, light_rows};
 use crate::visibility::point_visibility::{
     Blend, LobeRays, SeenPoint, Surroundings, first_of_alike, is_open,
 };
 use crate::visibility::texel_visibility::TexelVisibility;
-use bevy_ecs::prelude::{Entity, Resource};
-use fearless_simd::{Level, dispatch};
-use glam::{Mat3, Vec3};
 use lobelia_geometry::mesh::Surface;
 use lobelia_sg::fibonacci::fibonacci_axes;
-use lobelia_sg::shading::{LobeColumns, LobeVisibility, PointVisibility};
-use lobelia_world::sample::pixel::PixelOf;
-use lobelia_world::sample::point::SurfacePoint;
-use rayon::prelude::*;
 use std::any::TypeId;
-use std::sync::Arc;
 
 /// Angle below which two rotations count as one: 2°.
 const SAME_TURN: f32 = 0.035;
@@ -142,9 +135,7 @@ impl ObjectVisibility {
         let sky = |turn: &Mat3| Sky::new(&self.texels.directions, lobes, turn.transpose());
         self.skies = distinct.par_iter().map(sky).collect();
         self.stride = lobes.stride();
-        let mut parts = std::mem::take(&mut self.parts);
-        let of_skies = self.direct(&mut parts);
-        self.parts = parts;
+        let of_skies = self.direct();
         let bounces = self.settings.bounces;
         let bounce = |direct: &Vec<Vec3>| Bounce::new(&self.texels, direct, reflectance, bounces);
         self.bounces = of_skies.iter().map(bounce).collect();
@@ -152,18 +143,19 @@ impl ObjectVisibility {
 
     /// Irradiance of each row under each sky, and the parts of the lobes that reach it; of many skies the mean of up to [`MEAN_SKIES`], without
     /// parts.
-    fn direct(&self, parts: &mut Vec<Vec<u8>>) -> Vec<Vec<Vec3>> {
-        if self.skies.len() <= FEW_SKIES {
-            parts.resize(self.skies.len(), Vec::new());
-            let lit = |(sky, parts)| light_rows(&self.texels, sky, parts);
-            return self.skies.iter().zip(parts).map(lit).collect();
+    fn direct(&mut self) -> Vec<Vec<Vec3>> {
+        let Self { skies, texels, parts, .. } = self;
+        if skies.len() <= FEW_SKIES {
+            parts.resize(skies.len(), Vec::new());
+            let lit = |(sky, parts)| light_rows(texels, sky, parts);
+            return skies.iter().zip(parts).map(lit).collect();
         }
         parts.clear();
-        let (mut mean, mut unused) = (vec![Vec3::ZERO; self.texels.row_count()], Vec::new());
-        let every = self.skies.len().div_ceil(MEAN_SKIES);
-        let some: Vec<&Sky> = self.skies.iter().step_by(every).collect();
+        let (mut mean, mut unused) = (vec![Vec3::ZERO; texels.row_count()], Vec::new());
+        let every = skies.len().div_ceil(MEAN_SKIES);
+        let some: Vec<&Sky> = skies.iter().step_by(every).collect();
         for sky in &some {
-            let direct = light_rows(&self.texels, sky, &mut unused);
+            let direct = light_rows(texels, sky, &mut unused);
             mean.iter_mut().zip(&direct).for_each(|(mean, direct)| *mean += *direct / some.len() as f32);
         }
         vec![mean]
@@ -188,7 +180,7 @@ impl ObjectVisibility {
         let pixel_of = |i: usize| points[i].is_hit().then(|| viewer(i).1);
         let firsts = rays.map_or_else(
             || (0..points.len()).collect(),
-            |rays| first_of_alike(points.len(), pixel_of, at, NEAR * rays.radius()),
+            |rays| first_of_alike(points.len(), pixel_of, at, NEAR * rays.surface.radius()),
         );
         rows.stride = self.stride;
         rows.rows.resize(points.len() * self.stride, 255);

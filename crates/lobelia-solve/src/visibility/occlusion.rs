@@ -4,17 +4,12 @@
 //! a Gaussian of the width of a cell, λ' = λ·λ_c/(λ + λ_c) with λ_c = D/2 (2π/λ_c is a cell's solid angle), with the same power, so that
 //! no sharp lobe falls between two directions.
 
+use crate::prelude::*;
 use crate::visibility::texel_visibility::{TOGETHER, TexelVisibility};
-use fearless_simd::{Level, Simd, dispatch};
-use glam::{Mat3, Vec3};
-use lobelia_sg::accurate::diffuse::cosine_integral;
-use lobelia_sg::brdf::ndf_sharpness;
+use fearless_simd::Simd;
 use lobelia_sg::lanes::{Lanes, MAX_LANES, Row};
 use lobelia_sg::real::{Real, dot};
-use lobelia_sg::sg::sphere_integral;
-use lobelia_sg::shading::LobeColumns;
-use rayon::prelude::*;
-use std::ops::Range;
+use lobelia_sg::{accurate::diffuse::cosine_integral, brdf::ndf_sharpness, sg::sphere_integral};
 
 /// Least sharpness of a lobe.
 const LEAST_LOBE: f32 = 1e-6;
@@ -174,8 +169,7 @@ pub(crate) fn light_rows(visibility: &TexelVisibility, sky: &Sky, parts: &mut Ve
     direct
 }
 
-/// Directions of some rows that other parts of the surface hide, and the light on the rows so far;
-/// memory that is used again.
+/// Directions of some rows that other parts of the surface hide, and the light on the rows so far; memory that is used again.
 #[derive(Default)]
 pub(crate) struct Behind {
     /// The hidden directions of the rows, one row after another: their numbers, and the cosines with the normal times a cell's solid angle.
@@ -353,10 +347,8 @@ fn cell_angle(visibility: &TexelVisibility) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lobelia_geometry::mesh::Surface;
-    use lobelia_geometry::mesh::primitive::ball_over_plate;
-    use lobelia_sg::fibonacci::fibonacci_axes;
-    use lobelia_sg::sg::Lobe;
+    use lobelia_geometry::mesh::{Surface, primitive::ball_over_plate};
+    use lobelia_sg::{fibonacci::fibonacci_axes, sg::Lobe};
 
     #[test]
     fn parts_of_lobes_are_what_a_plain_sum_leaves() {

@@ -4,19 +4,13 @@
 //! reflected, a few rays within the lobe say what it meets. Where they meet the surface, that sends diffuse light, and its reflection
 //! of the sky in turn.
 
+use crate::prelude::*;
 use crate::visibility::occlusion::{Bounce, Cones, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe, widened};
 use crate::visibility::texel_visibility::{MAX_DIRECTIONS, OFFSET, TOGETHER, TexelVisibility};
-use fearless_simd::{Level, Simd, dispatch};
-use glam::{Mat3, Vec3};
-use lobelia_sg::brdf::ndf_sharpness;
-use lobelia_sg::color::luminance;
-use lobelia_sg::lanes::Lanes;
-use lobelia_sg::ray::{Hit, Intersect};
+use fearless_simd::Simd;
 use lobelia_sg::real::{Real, dot};
-use lobelia_sg::shading::PointVisibility;
-use lobelia_world::sample::pixel::PixelOf;
-use std::f32::consts::PI;
-use std::sync::LazyLock;
+use lobelia_sg::{brdf::ndf_sharpness, color::luminance, lanes::Lanes, ray::Hit};
+use std::{f32::consts::PI, sync::LazyLock};
 
 /// Directions contribute to specular light where the BRDF lobe is above e to the power of minus this.
 const MIRROR_REACH: f32 = 4.0;
@@ -88,24 +82,14 @@ pub(crate) fn first_of_alike(
 /// Rays within narrow lobes.
 #[derive(Clone, Copy)]
 pub struct LobeRays<'a> {
-    surface: &'a dyn Intersect,
+    pub(super) surface: &'a dyn Intersect,
     spiral: &'a [InLobe],
 }
 
 impl<'a> LobeRays<'a> {
-    /// The rays of a picture.
-    pub fn of_frame(surface: &'a dyn Intersect) -> Self {
-        Self { surface, spiral: &*SPIRAL }
-    }
-
-    /// The rays of a step of a fit: fewer.
-    pub fn of_step(surface: &'a dyn Intersect) -> Self {
-        Self { surface, spiral: &*SPIRAL_OF_STEP }
-    }
-
-    /// Radius of the surface.
-    pub(super) fn radius(&self) -> f32 {
-        self.surface.radius()
+    /// The rays of a picture, or the fewer of a step of a fit.
+    pub fn new(surface: &'a dyn Intersect, of_step: bool) -> Self {
+        Self { surface, spiral: if of_step { &*SPIRAL_OF_STEP } else { &*SPIRAL } }
     }
 }
 
@@ -154,10 +138,9 @@ impl Surroundings<'_> {
         if let Some(rays) = rays.filter(|_| narrow > LEAST_SHARPNESS) {
             return Some(self.part_by_rays(rays, point, axis, narrow));
         }
-        let lobe = MirroredLobe { axis, sharpness, least, normal };
-        let mut weights = [0.0; MAX_DIRECTIONS];
+        let (vectors, lobe, mut weights) = ([axis, normal], [sharpness, least], [0.0; MAX_DIRECTIONS]);
         let unhidden =
-            dispatch!(Level::new(), simd => weigh_directions(simd, sky, &lobe, &near, &mut weights));
+            dispatch!(Level::new(), simd => weigh_directions(simd, sky, vectors, lobe, &near, &mut weights));
         let arriving = rows.fold(unhidden, |arriving, (row, part)| {
             // A back face sends nothing.
             let sent = |hider: u32| bounce.leaving.get(hider as usize).copied().unwrap_or(Vec3::ZERO);
@@ -287,25 +270,19 @@ fn cones_near<S: Simd>(simd: S, cones: &Cones, first: usize, axis: Vec3, least: 
     (farthest.bits_below(to_axis) | all) & (u64::MAX >> (64 - Lanes::<S>::LEN))
 }
 
-/// The lobe of the BRDF around the mirrored view, where its cosine to a direction is above `least`, times the cosine with `normal`.
-struct MirroredLobe {
-    axis: Vec3,
-    sharpness: f32,
-    least: f32,
-    normal: Vec3,
-}
-
-/// The lobe's value at each direction, in groups of lanes of which a bit of `near` is set, and the light of the whole sky weighted by it.
+/// The lobe of the BRDF around the mirrored view, `axis`, where its cosine to a direction is above `least`, times the cosine with `normal`: its value at
+/// each direction, in groups of lanes of which a bit of `near` is set, and the light of the whole sky weighted by it.
 #[inline(always)]
 fn weigh_directions<S: Simd>(
     simd: S,
     sky: &Sky,
-    lobe: &MirroredLobe,
+    [axis, normal]: [Vec3; 2],
+    [sharpness, least]: [f32; 2],
     near: &[u64],
     weights: &mut [f32; MAX_DIRECTIONS],
 ) -> Vec3 {
-    let [axis, normal] = [lobe.axis, lobe.normal].map(|v| v.to_array().map(|c| Lanes::splat(simd, c)));
-    let [least, sharpness, zero] = [lobe.least, lobe.sharpness, 0.0].map(|c| Lanes::splat(simd, c));
+    let [axis, normal] = [axis, normal].map(|v| v.to_array().map(|c| Lanes::splat(simd, c)));
+    let [least, sharpness, zero] = [least, sharpness, 0.0].map(|c| Lanes::splat(simd, c));
     let mut light = [zero; 3];
     let group = u64::MAX >> (64 - Lanes::<S>::LEN);
     for at in (0..sky.directions[0].len()).step_by(Lanes::<S>::LEN) {
@@ -329,12 +306,11 @@ fn weigh_directions<S: Simd>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::visibility::texel_visibility::cluster;
-    use lobelia_sg::fibonacci::fibonacci_axes;
-    use lobelia_sg::ray::{Ray, TexelAddress};
-    use lobelia_sg::sg::Lobe;
-    use lobelia_sg::shading::LobeColumns;
+    use crate::{shape::test_support::Wall, visibility::texel_visibility::cluster};
+    use lobelia_sg::{fibonacci::fibonacci_axes, sg::Lobe};
     use std::f32::consts::LN_2;
+
+    static WALL: Wall = Wall(Vec3::X);
 
     #[test]
     fn points_of_a_pixel_share_what_is_alike() {
@@ -356,27 +332,6 @@ mod tests {
         assert_eq!(of(&[(alike, 7), (None, 7), (turned, 7), (alike, 7)]), [0, 0, 2, 3, 0]);
         assert_eq!(of(&[(Some(point(0.011, 0.0, 0.3)), 7), (Some(point(0.0, 0.0, 0.32)), 7)]), [0, 1, 2]);
         assert_eq!(of(&[(alike, 8), (alike, 8), (alike, 7)]), [0, 1, 1, 3]);
-    }
-
-    /// All that is beyond x = 1.
-    struct Wall;
-
-    impl Intersect for Wall {
-        fn intersect(&self, ray: &Ray, _: f32) -> Option<Hit> {
-            let distance = (1.0 - ray.origin.x) / ray.direction.x;
-            (ray.direction.x > 0.0).then(|| Hit {
-                position: ray.origin + distance * ray.direction,
-                normal: -Vec3::X,
-                geometric_normal: -Vec3::X,
-                distance,
-                uv: glam::Vec2::ZERO,
-                texels: TexelAddress { weights: [0.25; 4], ..TexelAddress::default() },
-            })
-        }
-
-        fn occluded(&self, ray: &Ray, _: f32, _: f32) -> bool {
-            ray.direction.x > 0.0
-        }
     }
 
     fn sky(lobes: &[([f32; 3], f32, f32)]) -> Sky {
@@ -404,7 +359,7 @@ mod tests {
     fn a_lobe_that_meets_a_wall_has_its_light() {
         let sky = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
         let red = Mirror { diffuse: Vec3::new(1.0, 0.5, 0.0), ..Mirror::default() };
-        for rays in [LobeRays::of_frame(&Wall), LobeRays::of_step(&Wall)] {
+        for rays in [false, true].map(|of_step| LobeRays::new(&WALL, of_step)) {
             let part = |axis: Vec3| part_over(Vec3::Y, rays, axis, red, &sky);
             assert!(part(Vec3::new(1.0, 1.0, 0.0)).abs_diff_eq(Vec3::new(0.5, 0.25, 0.0), 1e-3));
             assert!(part(Vec3::new(-1.0, 1.0, 0.0)).abs_diff_eq(Vec3::ONE, 1e-6));
@@ -418,7 +373,7 @@ mod tests {
         let white = Mirror { albedo: Vec3::ONE, sharpness: 5000.0, ..Mirror::default() };
         let even = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
         let part =
-            |axis: Vec3, wall, sky: &Sky| part_over(Vec3::Y, LobeRays::of_frame(&Wall), axis, wall, sky);
+            |axis: Vec3, wall, sky: &Sky| part_over(Vec3::Y, LobeRays::new(&WALL, false), axis, wall, sky);
         assert!(part(Vec3::new(1.0, 1.0, 0.0), white, &even).abs_diff_eq(Vec3::ONE, 1e-3));
         // The lamp in the mirror is behind the point; toward the wall it is dark.
         let lamp = |dark: f32| sky(&[([-1.0, 0.0, 0.0], 30.0, 1.0), ([1.0, 0.0, 0.0], 0.5, dark)]);
@@ -434,7 +389,7 @@ mod tests {
     #[test]
     fn rays_that_enter_the_flat_triangle_see_the_sky() {
         let sky = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
-        let (rays, axis) = (LobeRays::of_frame(&Wall), Vec3::new(1.0, 0.1, 0.0));
+        let (rays, axis) = (LobeRays::new(&WALL, false), Vec3::new(1.0, 0.1, 0.0));
         let part = |geometric: Vec3| part_over(geometric, rays, axis, Mirror::default(), &sky);
         assert_eq!(part(Vec3::Y), Vec3::ZERO);
         assert_eq!(part(Vec3::new(-0.5, 0.8, 0.0)), Vec3::ONE);

@@ -1,8 +1,7 @@
 //! Tracing of the directions of each texel that other parts of the surface occlude.
 //!
-//! Rays are cast from every covered texel into the hemisphere above it, along a set of near-uniform directions that is common to all
-//! texels. A row stores one bit per direction, and for each occluded direction the texel that occludes it, for interreflection
-//! ([`crate::visibility`]).
+//! Rays are cast from every covered texel into the hemisphere above it, along a set of near-uniform directions that is common to all texels. A
+//! row stores one bit per direction, and for each occluded direction the texel that occludes it, for interreflection ([`crate::visibility`]).
 //!
 //! A fine texture has more texels than shadows need. Then the texels of a square of k × k in texture space share one row, k the smallest
 //! that leaves at most the wanted number of rows. A square across the border of two charts falls into one patch for each: texels share a
@@ -10,11 +9,8 @@
 //!
 //! Memory per row: one bit per direction, and 4 bytes per occluded direction.
 
-use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
+use crate::prelude::*;
 use lobelia_geometry::mesh::atlas::TexelAtlas;
-use lobelia_sg::ray::Intersect;
-use rayon::prelude::*;
 
 /// Most directions.
 pub(crate) const MAX_DIRECTIONS: usize = 4096;
@@ -60,14 +56,6 @@ fn set_bits(mut word: u64) -> impl Iterator<Item = usize> {
     })
 }
 
-/// The result of a thread for a range of rows.
-#[derive(Default)]
-struct Traced {
-    hidden: Vec<u64>,
-    counts: Vec<u32>,
-    hiders: Vec<u32>,
-}
-
 impl TexelVisibility {
     /// Row of a texel that has none.
     pub const NONE: u32 = u32::MAX;
@@ -87,42 +75,31 @@ impl TexelVisibility {
         assert!(directions.len() <= MAX_DIRECTIONS, "at most {MAX_DIRECTIONS} directions");
         cluster(&mut directions);
         let (rows, texels) = patches(atlas, most_rows);
-        let of_run = |run: &[u32]| {
-            let mut traced = Traced::default();
-            for texel in run.iter().map(|texel| *texel as usize) {
-                let normal = atlas.normal[texel];
-                let origin = atlas.position[texel] + normal * (OFFSET * surface.radius());
-                let before = traced.hiders.len();
-                for directions in directions.chunks(64) {
-                    // Whoever asked for it drops what is not traced ([`is_stopping`]).
-                    let parts = directions.chunks(TOGETHER).enumerate().filter(|_| !is_stopping());
-                    let words = parts.map(|(k, directions)| {
-                        let bits = trace_together(surface, origin, normal, directions, &mut traced.hiders);
-                        u64::from(bits) << (k * TOGETHER)
-                    });
-                    traced.hidden.push(words.fold(0, |word, part| word | part));
-                }
-                traced.counts.push((traced.hiders.len() - before) as u32);
-            }
-            traced
+        let trace = |&texel: &u32| {
+            let (normal, mut hiders) = (atlas.normal[texel as usize], Vec::new());
+            let origin = atlas.position[texel as usize] + normal * (OFFSET * surface.radius());
+            let word = |directions: &[Vec3]| {
+                // Whoever asked for it drops what is not traced ([`is_stopping`]).
+                let parts = directions.chunks(TOGETHER).enumerate().filter(|_| !is_stopping());
+                parts.fold(0, |word, (k, directions)| {
+                    let bits = trace_together(surface, origin, normal, directions, &mut hiders);
+                    word | u64::from(bits) << (k * TOGETHER)
+                })
+            };
+            let hidden: Vec<u64> = directions.chunks(64).map(word).collect();
+            (hidden, hiders)
         };
-        let parts: Vec<Traced> = texels.par_chunks(CHUNK).map(of_run).collect();
-        let mut traced = Traced::default();
-        for mut part in parts {
-            traced.hidden.append(&mut part.hidden);
-            traced.counts.append(&mut part.counts);
-            traced.hiders.append(&mut part.hiders);
-        }
+        let traced: Vec<(Vec<u64>, Vec<u32>)> = texels.par_iter().with_min_len(CHUNK).map(trace).collect();
         let row_of = |texel: &u32| rows.get(*texel as usize).copied().unwrap_or(Self::NONE);
-        let ends = traced.counts.iter().scan(0, |end, count| {
-            *end += count;
+        let ends = traced.iter().scan(0, |end, (_, hiders)| {
+            *end += hiders.len() as u32;
             Some(*end)
         });
         Self {
             normals: texels.iter().map(|&t| atlas.normal[t as usize]).collect(),
-            hidden: traced.hidden,
             first: std::iter::once(0).chain(ends).collect(),
-            hiders: traced.hiders.par_iter().map(row_of).collect(),
+            hidden: traced.iter().flat_map(|(hidden, _)| hidden).copied().collect(),
+            hiders: traced.iter().flat_map(|(_, hiders)| hiders).map(row_of).collect(),
             directions,
             rows,
             texels,
@@ -237,8 +214,7 @@ pub(super) fn cluster(directions: &mut [Vec3]) {
     cluster(second);
 }
 
-/// The row of each texel, about `most_rows` or fewer, and the texel of each row that stands for it: the one nearest to the middle of the
-/// square.
+/// The row of each texel, about `most_rows` or fewer, and the texel of each row that stands for it: the one nearest to the middle of the square.
 fn patches(atlas: &TexelAtlas, most_rows: usize) -> (Vec<u32>, Vec<u32>) {
     let has_shadows = |t: &usize| atlas.covered[*t] && atlas.normal[*t] != Vec3::ZERO;
     let count = (0..atlas.covered.len()).filter(has_shadows).count();
@@ -280,7 +256,6 @@ mod tests {
     use glam::Vec3Swizzles;
     use lobelia_geometry::mesh::Surface;
     use lobelia_geometry::mesh::primitive::{ball_over_plate, box_mesh, sphere_mesh};
-    use lobelia_geometry::mesh::triangles::Mesh;
     use lobelia_sg::fibonacci::fibonacci_axes;
 
     fn traced(mesh: Mesh) -> (Surface, TexelVisibility) {

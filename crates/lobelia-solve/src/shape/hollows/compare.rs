@@ -1,10 +1,7 @@
 //! At which depth behind a surface a photograph agrees with those around it.
 
+use crate::prelude::*;
 use crate::shape::pictures::{ColorPicture, Seen, views_beside};
-use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_sg::ray::Ray;
 
 /// Angles in degrees between a view and those around it: less shows no depth, from more the same is seldom seen.
 const ANGLES: (f32, f32) = (6.0, 50.0);
@@ -46,12 +43,7 @@ pub(super) fn around(pictures: &[ColorPicture], of: usize, center: Vec3) -> Vec<
 
 /// How far along its rays a picture sees something: the surface, where they go to what is `seen`, or what lies behind it; 0 where that is
 /// not known. `sources` are views around it.
-pub(super) fn compare(
-    bvh: &TriangleBvh,
-    picture: &ColorPicture,
-    seen: &[Seen],
-    sources: &[Source],
-) -> Vec<f32> {
+pub fn compare(bvh: &TriangleBvh, picture: &ColorPicture, seen: &[Seen], sources: &[Source]) -> Vec<f32> {
     let mut depths = vec![0.0; seen.len()];
     if sources.len() < LEAST_SOURCES {
         return depths;
@@ -131,16 +123,8 @@ impl<'a> Search<'a> {
         let rays = picture.rays().map(|ray| ray.direction).collect();
         let asked: Vec<usize> = (0..seen.len()).filter(|&at| seen[at].distance.is_finite()).collect();
         let warped = vec![[UNKNOWN; MOST_SOURCES]; seen.len()];
-        Self {
-            picture,
-            seen,
-            sources,
-            rays,
-            step: picture.step(SINE),
-            looked_up: asked.clone(),
-            asked,
-            warped,
-        }
+        let (step, looked_up) = (picture.step(SINE), asked.clone());
+        Self { picture, seen, sources, rays, step, asked, looked_up, warped }
     }
 
     /// Asks only for pixels that may have a better depth.
@@ -163,8 +147,7 @@ impl<'a> Search<'a> {
         rows.flat_map(move |y| columns.clone().map(move |x| y * width + x))
     }
 
-    /// Hands out how much the best of the views around differ in each pixel's patch, if the surface is moved along the rays by `shift`
-    /// pixels.
+    /// Hands out how much the best of the views around differ in each pixel's patch, if the surface is moved along the rays by `shift` pixels.
     fn differences(&mut self, shift: f32, mut found: impl FnMut(usize, f32)) {
         self.warp(shift);
         for &at in &self.asked {

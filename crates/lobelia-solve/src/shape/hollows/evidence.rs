@@ -1,22 +1,16 @@
-//! Evidence of the photographs about space inside the hull: whether they look through it, and how
-//! much better that explains them.
+//! Evidence of the photographs about space inside the hull: whether they look through it, and how much better that explains them.
 //!
-//! A field of densities also explains reflections in a surface by something dense behind it, as if
-//! one looked through the surface. It does so badly: a reflection moves otherwise than anything
-//! that stands still behind a window. So two models compete for each pixel. One is opaque at the
-//! surface, with a color that all photographs share; the other is the field. Their squared errors
-//! are summed over all rays that pass a vertex before they are stopped, and over all vertices of a
-//! connected space. A deep hollow leaves the field 1 to 3 % of the error of its lid; reflections in
-//! paint or metal leave 10 to 25 %. Between them is the excess of a hull beside a glossy surface:
-//! there the field is dense too deep, and would eat into the object.
+//! A field of densities also explains reflections in a surface by something dense behind it, as if one looked through the surface. It does so
+//! badly: a reflection moves otherwise than anything that stands still behind a window. So two models compete for each pixel. One is opaque at
+//! the surface, with a color that all photographs share; the other is the field. Their squared errors are summed over all rays that pass a
+//! vertex before they are stopped, and over all vertices of a connected space. A deep hollow leaves the field 1 to 3 % of the error of its lid;
+//! reflections in paint or metal leave 10 to 25 %. Between them is the excess of a hull beside a glossy surface: there the field is dense too
+//! deep, and would eat into the object.
 
-use super::radiance_field::{FieldRay, RadianceField, depth, march};
-use crate::shape::pictures::ColorPicture;
+use super::radiance_field::{FieldRay, FieldRays, RadianceField, depth, march};
+use crate::prelude::*;
 use crate::shape::{cube, flood, neighbors, size};
-use glam::{Vec3, Vec4, Vec4Swizzles};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::sdf::SdfGrid;
-use rayon::prelude::*;
+use glam::Vec4Swizzles;
 
 /// Before the depth at which half of the light is stopped, and behind it, space counts as that where a ray is stopped, in cells.
 const MARGIN: f32 = 0.75;
@@ -41,15 +35,10 @@ const PARTS: usize = 8;
 const CHUNK: usize = 4096;
 
 /// How empty each vertex of a grid is, in (−1, 1), positive where photographs look through it. The field has been fitted to the rays.
-pub(super) fn emptiness(
-    grid: &SdfGrid,
-    field: &RadianceField,
-    pictures: &[ColorPicture],
-    rays: &[FieldRay],
-) -> Vec<f32> {
-    let by_surface = surface_errors(field, pictures, rays);
-    let by_field = field_errors(field, pictures, rays);
-    let evidence = evidence(field, pictures, rays, &by_surface, &by_field);
+pub(super) fn emptiness(grid: &SdfGrid, field: &RadianceField, rays: &FieldRays) -> Vec<f32> {
+    let by_surface = surface_errors(field, rays);
+    let by_field = field_errors(field, rays);
+    let evidence = evidence(field, rays, &by_surface, &by_field);
     // The evidence at the 27 vertices around that of each row.
     let around = |row: usize| -> Evidence {
         let others = cube(grid, field.vertices[row] as usize).map(|(other, _)| field.rows[other] as usize);
@@ -74,16 +63,16 @@ pub(super) fn emptiness(
 }
 
 /// Squared error of each ray if the surface is opaque: its colors are those of a trilinear lattice that explain all rays best.
-fn surface_errors(field: &RadianceField, pictures: &[ColorPicture], rays: &[FieldRay]) -> Vec<f32> {
+fn surface_errors(field: &RadianceField, rays: &FieldRays) -> Vec<f32> {
     let mut colors = vec![Vec3::ZERO; field.values.len()];
     let missing = |colors: &[Vec3], ray: &FieldRay| {
-        let (line, shown) = ray.of(pictures);
+        let (line, shown) = rays.of(ray);
         let (rows, weights) = field.corners(line.origin + ray.surface * line.direction);
         let color: Vec3 = rows.iter().zip(weights).map(|(row, weight)| colors[*row as usize] * weight).sum();
         (rows, weights, shown - color)
     };
     for _ in 0..PASSES {
-        let sums = summed(rays, colors.len(), |sums, _, ray| {
+        let sums = summed(&rays.rays, colors.len(), |sums, _, ray| {
             let (rows, weights, missing) = missing(&colors, ray);
             for (row, weight) in rows.iter().zip(weights) {
                 sums[*row as usize] += weight * missing.extend(1.0);
@@ -93,7 +82,7 @@ fn surface_errors(field: &RadianceField, pictures: &[ColorPicture], rays: &[Fiel
             *color += RELAXATION * sum.xyz() / sum.w;
         }
     }
-    rays.par_iter().map(|ray| missing(&colors, ray).2.length_squared()).collect()
+    rays.rays.par_iter().map(|ray| missing(&colors, ray).2.length_squared()).collect()
 }
 
 /// Sums over rays at a vertex: rays that pass, rays that are stopped, and the squared errors of those that pass, if the surface is opaque
@@ -101,30 +90,29 @@ fn surface_errors(field: &RadianceField, pictures: &[ColorPicture], rays: &[Fiel
 type Evidence = Vec4;
 
 /// Squared error of each ray with the field, and the depth at which it is stopped, infinite if it is not.
-fn field_errors(field: &RadianceField, pictures: &[ColorPicture], rays: &[FieldRay]) -> Vec<[f32; 2]> {
-    let of_chunk = |rays: &[FieldRay]| {
+fn field_errors(field: &RadianceField, rays: &FieldRays) -> Vec<[f32; 2]> {
+    let of_chunk = |chunk: &[FieldRay]| {
         let mut samples = Vec::new();
         let of_ray = |ray: &FieldRay| {
-            let (line, shown) = ray.of(pictures);
+            let (line, shown) = rays.of(ray);
             let (color, _) = march(field, &line, ray.surface, 0.0, &mut samples);
             [(color - shown).length_squared() + NOISE, depth(&samples).unwrap_or(f32::INFINITY)]
         };
-        rays.iter().map(of_ray).collect::<Vec<_>>()
+        chunk.iter().map(of_ray).collect::<Vec<_>>()
     };
-    rays.par_chunks(CHUNK).flat_map_iter(of_chunk).collect()
+    rays.rays.par_chunks(CHUNK).flat_map_iter(of_chunk).collect()
 }
 
 /// The evidence at the vertex of each row; `by_surface` are the errors of the rays if the surface is opaque, `by_field` those with the field, and depths.
 fn evidence(
     field: &RadianceField,
-    pictures: &[ColorPicture],
-    rays: &[FieldRay],
+    rays: &FieldRays,
     by_surface: &[f32],
     by_field: &[[f32; 2]],
 ) -> Vec<Evidence> {
     let margin = MARGIN * field.grid.spacing;
-    summed(rays, field.values.len(), |sums, at, ray| {
-        let (line, _) = ray.of(pictures);
+    summed(&rays.rays, field.values.len(), |sums, at, ray| {
+        let (line, _) = rays.of(ray);
         let [by_field, depth] = by_field[at];
         if depth.is_infinite() {
             return;

@@ -1,13 +1,12 @@
 //! Hollows that no silhouette shows: removes from the hull what photographs look through.
 //!
-//! The hull closes a cup with a lid. What is seen through the lid moves against it from view to view, so that photographs disagree on
-//! the lid's color, and agree far behind it. Each view is compared with those around it ([`mod@compare`]) at all depths from the surface to
-//! the far side. Where they agree much better at one of these than at the surface, the space in front of it is empty. All views vote, and
-//! what enough of them see through is removed; the next round knows better what hides what.
-//! A deep hollow has places that no two photographs around share, or whose colors change slowly. So all photographs together are asked
-//! first: a field of densities and colors ([`radiance_field`]) is fitted to them by volume rendering, and a space is empty where that
-//! explains them far better than the surface does ([`evidence`]).
-//! The hull is coarse: what its cells do not resolve is looked for once more on the finer grid of the second level.
+//! The hull closes a cup with a lid. What is seen through the lid moves against it from view to view, so that photographs disagree on the lid's
+//! color, and agree far behind it. Each view is compared with those around it ([`mod@compare`]) at all depths from the surface to the far side.
+//! Where they agree much better at one of these than at the surface, the space in front of it is empty. All views vote, and what enough of them
+//! see through is removed; the next round knows better what hides what. A deep hollow has places that no two photographs around share, or whose
+//! colors change slowly. So all photographs together are asked first: a field of densities and colors ([`radiance_field`]) is fitted to them by
+//! volume rendering, and a space is empty where that explains them far better than the surface does ([`evidence`]). The hull is coarse: what its
+//! cells do not resolve is looked for once more on the finer grid of the second level.
 //!
 //! Only space that is open to the outside is removed: a reflection that seems to lie far behind a glossy surface leaves no bubble inside
 //! the object. Spaces that reflections have opened all the same are filled again. A margin before the depth that was found stays: the
@@ -20,20 +19,13 @@ mod compare;
 mod evidence;
 mod radiance_field;
 
-use crate::shape::hull::extract_parts;
+use crate::prelude::*;
 use crate::shape::pictures::{ColorPicture, MatchPicture, Seen, TrainingView, picture_factor};
-use crate::shape::shell::Shell;
-use crate::shape::silhouette::Silhouette;
-use crate::shape::stereo::pattern_shares;
-use crate::shape::{cube, flood, is_border, neighbors, size, volume};
+use crate::shape::{cube, flood, hull::extract_parts, is_border, neighbors, shell::Shell, size, volume};
+use crate::{shape::silhouette::Silhouette, shape::stereo::pattern_shares};
 use compare::{SINE, around, compare};
 use evidence::emptiness;
-use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::sdf::SdfGrid;
-use radiance_field::{FieldRay, fit};
-use rayon::prelude::*;
+use radiance_field::{FieldRay, FieldRays, fit};
 
 /// Pixels of a picture per cell of the grid.
 const PIXELS_PER_CELL: f32 = 1.5;
@@ -109,9 +101,9 @@ pub(super) fn look_through(
         let seen = (0..).zip(seen).filter(|(_, seen)| seen.distance.is_finite());
         seen.map(move |(place, seen)| FieldRay { picture, place, surface: seen.distance })
     };
-    let rays: Vec<FieldRay> = (0..).zip(cast_all(&bvh, &pictures)).flat_map(of_picture).collect();
-    let field = fit(grid, &pictures, &rays);
-    let empty = emptiness(grid, &field, &pictures, &rays);
+    let rays = (0..).zip(cast_all(&bvh, &pictures)).flat_map(of_picture).collect();
+    let rays = FieldRays { pictures: &pictures, rays };
+    let empty = emptiness(grid, &fit(grid, &rays), &rays);
     if is_stopping() || empty.iter().all(|empty| *empty <= 0.0) {
         return (0.0, None);
     }
@@ -203,13 +195,8 @@ fn carve(grid: &mut SdfGrid, empty: &[f32]) {
 /// Reflections in metal or glaze seem to lie behind the surface, as the floor of a hollow does. But the floor of a hollow is a surface
 /// with a pattern, on which all photographs agree once it is laid open; on the floor of a space that a reflection has opened they agree
 /// no better than before ([`pattern_shares`]). Each connected space is judged as a whole by the surface that borders on it.
-fn fill_reflections(
-    grid: &mut SdfGrid,
-    closed: &SdfGrid,
-    silhouettes: &[Silhouette],
-    pictures: &[MatchPicture],
-) {
-    let mesh = extract_parts(grid, silhouettes);
+fn fill_reflections(grid: &mut SdfGrid, closed: &SdfGrid, views: &[Silhouette], pictures: &[MatchPicture]) {
+    let mesh = extract_parts(grid, views);
     let shell = Shell::new(&mesh);
     let shares = pattern_shares(&mesh, &shell, pictures);
     if is_stopping() {
@@ -237,8 +224,7 @@ fn fill_reflections(
     grid.redistance();
 }
 
-/// For each vertex of the grid the number of the opened space that it is in, and how many spaces there are. Vertices hang together
-/// along edges.
+/// For each vertex of the grid the number of the opened space that it is in, and how many spaces there are. Vertices hang together along edges.
 fn opened_spaces(grid: &SdfGrid, closed: &SdfGrid) -> (Vec<u32>, usize) {
     let pairs = grid.values.iter().zip(&closed.values);
     let mut open: Vec<bool> = pairs.map(|(now, before)| *now >= 0.0 && *before < 0.0).collect();

@@ -11,15 +11,10 @@
 //! coarse to fine (Sun, Sun and Chen, "Direct Voxel Grid Optimization", CVPR 2022); smoothness by total variation (Fridovich-Keil et
 //! al., "Plenoxels", CVPR 2022); Adam (Kingma and Ba, ICLR 2015).
 
-use crate::shape::pictures::ColorPicture;
-use crate::shape::{neighbors, size};
-use glam::{UVec3, Vec3, Vec4, Vec4Swizzles};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::sdf::SdfGrid;
-use lobelia_sg::ray::Ray;
-use rand::rngs::SmallRng;
-use rand::{RngExt, SeedableRng};
-use rayon::prelude::*;
+use crate::prelude::*;
+use crate::shape::{neighbors, pictures::ColorPicture, size};
+use glam::Vec4Swizzles;
+use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
 /// How far outside the surface the field reaches, in cells.
 const REACH: f32 = 1.0;
@@ -75,10 +70,16 @@ pub(super) struct FieldRay {
     pub surface: f32,
 }
 
-impl FieldRay {
-    /// The ray in the world, and the color that the picture shows there.
-    pub fn of(&self, pictures: &[ColorPicture]) -> (Ray, Vec3) {
-        let (picture, place) = (&pictures[self.picture as usize], self.place as usize);
+/// The rays of a fit, and the pictures that they are of.
+pub(super) struct FieldRays<'a> {
+    pub pictures: &'a [ColorPicture],
+    pub rays: Vec<FieldRay>,
+}
+
+impl FieldRays<'_> {
+    /// A ray in the world, and the color that its picture shows there.
+    pub fn of(&self, ray: &FieldRay) -> (Ray, Vec3) {
+        let (picture, place) = (&self.pictures[ray.picture as usize], ray.place as usize);
         let pixel = picture.window.pixel(place, picture.camera.width);
         (picture.camera.pixel_ray(pixel as u32), picture.values[place].into())
     }
@@ -140,8 +141,7 @@ impl RadianceField {
         self.corners_of(first, t)
     }
 
-    /// Returns the rows and weights of the vertices around a point; `None` if all of them are
-    /// outside.
+    /// Returns the rows and weights of the vertices around a point; `None` if all of them are outside.
     #[inline]
     pub fn corners_inside(&self, point: Vec3) -> Option<([u32; 8], [f32; 8])> {
         let (first, t) = self.cell(point);
@@ -265,11 +265,11 @@ fn softplus(x: f32) -> (f32, f32) {
 }
 
 /// Fits a field within a surface to what rays show, first on half as many cells. Nearly transparent where no ray passes.
-pub(super) fn fit(grid: &SdfGrid, pictures: &[ColorPicture], rays: &[FieldRay]) -> RadianceField {
-    let mean = rays.iter().map(|ray| ray.of(pictures).1).sum::<Vec3>() / rays.len().max(1) as f32;
+pub(super) fn fit(grid: &SdfGrid, rays: &FieldRays) -> RadianceField {
+    let mean = rays.rays.iter().map(|ray| rays.of(ray).1).sum::<Vec3>() / rays.rays.len().max(1) as f32;
     let mut random = SmallRng::seed_from_u64(0);
     let mut coarse = RadianceField::new(&grid.resampled((grid.side - 1).div_ceil(2)), mean);
-    optimize(&mut coarse, pictures, rays, STEPS[0], &mut random);
+    optimize(&mut coarse, rays, STEPS[0], &mut random);
     let mut fine = RadianceField::new(grid, mean);
     for row in 1..fine.values.len() {
         let (rows, weights) = coarse.corners(fine.position(row));
@@ -279,18 +279,13 @@ pub(super) fn fit(grid: &SdfGrid, pictures: &[ColorPicture], rays: &[FieldRay]) 
             fine.values[row] = known().map(|(row, w)| coarse.values[*row as usize] * w).sum::<Vec4>() / total;
         }
     }
-    optimize(&mut fine, pictures, rays, STEPS[1], &mut random);
+    optimize(&mut fine, rays, STEPS[1], &mut random);
     fine
 }
 
 /// Steps of Adam, each with other rays.
-fn optimize(
-    field: &mut RadianceField,
-    pictures: &[ColorPicture],
-    rays: &[FieldRay],
-    steps: u32,
-    random: &mut SmallRng,
-) {
+fn optimize(field: &mut RadianceField, all: &FieldRays, steps: u32, random: &mut SmallRng) {
+    let rays = &all.rays;
     let count = field.values.len();
     let parts = rayon::current_num_threads().min(MOST_PARTS);
     let mut gradients = vec![vec![Vec4::ZERO; count]; parts];
@@ -304,7 +299,7 @@ fn optimize(
             let mut samples = Vec::new();
             for (ray, jitter) in picks {
                 // The loss is the squared difference of colors, and the square of what passes through the whole object.
-                let (line, shown) = rays[*ray].of(pictures);
+                let (line, shown) = all.of(&rays[*ray]);
                 let (color, passing) = march(field, &line, rays[*ray].surface, *jitter, &mut samples);
                 let scale = 1.0 / RAYS as f32;
                 pull_back(&samples, 2.0 * scale * (color - shown), LEAK * scale * passing, gradient);

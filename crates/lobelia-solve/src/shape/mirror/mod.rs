@@ -22,19 +22,11 @@
 //! (Ramamoorthi and Hanrahan, "Frequency Space Environment Map Rendering", 2002); normals by matching many views of highlights are shape from
 //! specularity (Healey and Binford 1988), here by exhaustive search.
 
+use crate::prelude::*;
 use crate::shape::pictures::TrainingView;
 use crate::shape::shell::{Shell, VertexGraph};
-use glam::{Mat3, Vec2, Vec3};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::mesh::triangles::Mesh;
 use lobelia_geometry::view::raster::bilinear;
-use lobelia_sg::ray::Ray;
-use lobelia_sg::statistics::median;
-use lobelia_world::light::placement::PlacedFrame;
-use rayon::prelude::*;
 use std::f32::consts::TAU;
-use std::ops::ControlFlow;
 
 /// Angles around a normal that are tried, in degrees, and rings of directions within them: first around the mesh's, then around the best.
 const ROUNDS: [(f32, usize); 4] = [(25.0, 5), (8.0, 2), (6.0, 2), (4.0, 2)];
@@ -112,8 +104,7 @@ pub(crate) fn refine_normals(
     // The unit normals of the mesh at merged vertices.
     let mut sums = vec![Vec3::ZERO; shell.positions.len()];
     shell.graph.of.iter().zip(&mesh.normals).for_each(|(of, normal)| sums[*of as usize] += *normal);
-    let given: Vec<Vec3> =
-        sums.iter().zip(&shell.normals).map(|(sum, area)| sum.normalize_or(*area)).collect();
+    let given: Vec<_> = sums.iter().zip(&shell.normals).map(|(sum, area)| sum.normalize_or(*area)).collect();
     let sights = sights(mesh, &shell, &given, views, frame);
     let mut before = Model::new(&given, &sights);
     let shown = sights.iter().filter(|sights| sights.len() >= LEAST_SIGHTS).count();
@@ -203,12 +194,12 @@ impl<'a> Model<'a> {
             }
             let sums = self.sums(|sight, normal, colors| {
                 let rest = sight.radiance - colors.diffuse * self.irradiance.at(sight.in_light(normal));
-                (sight.mirrored(normal), colors.mirrored, rest)
+                [sight.mirrored(normal), colors.mirrored, rest]
             });
             self.mirrored = DirectionTable::of_sums(&sums, SMOOTH_MIRRORED, Some(SMOOTH_SHARE));
             let sums = self.sums(|sight, normal, colors| {
                 let rest = sight.radiance - colors.mirrored * self.mirrored.at(sight.mirrored(normal));
-                (sight.in_light(normal), colors.diffuse, rest)
+                [sight.in_light(normal), colors.diffuse, rest]
             });
             self.irradiance = DirectionTable::of_sums(&sums, SMOOTH_IRRADIANCE, None);
             self.solve_colors();
@@ -221,15 +212,12 @@ impl<'a> Model<'a> {
     }
 
     /// Sums over what a sight adds: the direction, the factor there, and what is to be explained.
-    fn sums(
-        &self,
-        part: impl Fn(&VertexSight, Vec3, &VertexColors) -> (Vec3, Vec3, Vec3) + Sync,
-    ) -> Vec<CellSums> {
+    fn sums(&self, part: impl Fn(&VertexSight, Vec3, &VertexColors) -> [Vec3; 3] + Sync) -> Vec<CellSums> {
         let of_chunk = |first: usize| {
             let mut sums = vec![CellSums::default(); SIDE * SIDE];
             for i in first..(first + CHUNK).min(self.normals.len()) {
                 for sight in self.sights[i].iter().filter(|sight| self.counts(sight)) {
-                    let (direction, factor, rest) = part(sight, self.normals[i], &self.colors[i]);
+                    let [direction, factor, rest] = part(sight, self.normals[i], &self.colors[i]);
                     sums[cell(direction)].add(sight.weight, factor, rest);
                 }
             }
@@ -273,18 +261,14 @@ impl<'a> Model<'a> {
                 return self.normals[i];
             }
             // The candidate with the least error, within an angle of the normal of the mesh.
-            let mut best: Option<(f32, Vec3)> = None;
-            for normal in around(self.normals[i], degrees.to_radians(), rings) {
+            let judged = |normal: Vec3| {
                 let angle = normal.angle_between(self.given[i]);
-                if angle > MOST_DEGREES.to_radians() {
-                    continue;
-                }
-                let Some(sums) = self.moments(i, normal) else { continue };
-                let error = sums.error(&sums.colors()) + FAR * angle * angle * sums.ll.element_sum();
-                if best.is_none_or(|(least, _)| error < least) {
-                    best = Some((error, normal));
-                }
-            }
+                let is_near = angle <= MOST_DEGREES.to_radians();
+                let sums = is_near.then(|| self.moments(i, normal)).flatten()?;
+                Some((sums.error(&sums.colors()) + FAR * angle * angle * sums.ll.element_sum(), normal))
+            };
+            let tried = around(self.normals[i], degrees.to_radians(), rings).filter_map(judged);
+            let best = tried.min_by(|a, b| a.0.total_cmp(&b.0));
             best.map_or(self.normals[i], |(_, normal)| normal)
         };
         let best: Vec<Vec3> =
@@ -352,7 +336,7 @@ fn sights(
     let lift = LIFT * shell.graph.mean_edge(&shell.positions);
     let of_view = |view: &TrainingView| -> Vec<(u32, Vec3, Vec3)> {
         let of_vertex = |i: usize| {
-            let (to_view, radiance) = shown_by(view, &bvh, shell.positions[i], normals[i], lift)?;
+            let [to_view, radiance] = shown_by(view, &bvh, shell.positions[i], normals[i], lift)?;
             Some((i as u32, to_view, radiance))
         };
         (0..normals.len()).into_par_iter().filter_map(of_vertex).collect()
@@ -366,13 +350,8 @@ fn sights(
                 frame.light_from_world(camera.world_from_camera.matrix3.into(), *placement);
             for (vertex, to_view, radiance) in shown {
                 let to_view = light_from_world * to_view;
-                all[vertex as usize].push(VertexSight {
-                    view,
-                    light_from_world,
-                    to_view,
-                    radiance,
-                    weight: 1.0,
-                });
+                let sight = VertexSight { view, light_from_world, to_view, radiance, weight: 1.0 };
+                all[vertex as usize].push(sight);
             }
         }
     }
@@ -387,13 +366,7 @@ fn sights(
 }
 
 /// The world direction to a view, and the radiance that it shows at a point with this normal; `None` if it does not see it.
-fn shown_by(
-    view: &TrainingView,
-    bvh: &TriangleBvh,
-    at: Vec3,
-    normal: Vec3,
-    lift: f32,
-) -> Option<(Vec3, Vec3)> {
+fn shown_by(view: &TrainingView, bvh: &TriangleBvh, at: Vec3, normal: Vec3, lift: f32) -> Option<[Vec3; 2]> {
     let offset = view.camera.position() - at;
     let (distance, to_view) = (offset.length(), offset.normalize_or_zero());
     if normal.dot(to_view) < LEAST_COSINE {
@@ -411,7 +384,7 @@ fn shown_by(
     }
     let ray = Ray { origin: at + lift * normal, direction: to_view };
     let radiance = || taps.iter().map(|(pixel, weight)| view.photograph.radiance(*pixel) * *weight).sum();
-    (!bvh.any(&ray, 0.0, distance)).then(|| (to_view, radiance()))
+    (!bvh.any(&ray, 0.0, distance)).then(|| [to_view, radiance()])
 }
 
 /// The two colors of a vertex, ≥ 0: they multiply the tables.

@@ -3,49 +3,27 @@
 
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
-use crate::fit::exposure::Exposures;
-use crate::fit::light_turns;
-use crate::fit::run::{FitOptions, FitProgress, Initialize, run_fit};
-use crate::shape::field::{
-    BRICK_LEN, BrickAt, BrickIndex, BrickMoments, ErrorRows, ModelError, SdfField, bricks_near_surface,
-};
+use crate::fit::run::{FitOptions, FitProgress, Initialize, entities, run_fit};
+use crate::prelude::*;
+use crate::shape::field::{ErrorRows, ModelError, SdfField};
 use crate::shape::hollows::{HULL_SHARE, LEVEL_SHARE, carve_hollows, keep_empty, look_through};
 use crate::shape::hull::{FORGIVEN, regrow, reliable_pixels, trim, visual_hull};
 use crate::shape::mirror::{NormalReport, refine_normals};
 use crate::shape::outline::{OutlineReport, fit_outlines};
-use crate::shape::pictures::TrainingView;
-use crate::shape::silhouette::{Silhouette, SilhouetteIndex, SilhouetteSample};
+use crate::shape::silhouette::{Silhouette, SilhouetteSample, SilhouetteSamples};
 use crate::shape::stereo::{StereoReport, refine};
 use crate::shape::systems::{
     ShapeSchedule, align_silhouettes, move_bricks, pull_back_silhouettes, pull_back_to_field,
     recast_silhouettes, retrace_window, smooth_gradient, sum_model_error,
 };
 use crate::shape::unseen::{SPANNED_CELLS, span_unseen};
-use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, World};
-use glam::Vec3;
-use lobelia_geometry::error::stop::{check_interrupted, is_stopping};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::sdf::SdfGrid;
+use crate::{fit::exposure::Exposures, fit::light_turns, shape::pictures::TrainingView};
 use lobelia_geometry::sdf::volume::{SdfSurface, TexelVolume};
-use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, Split, ViewIndex, ViewMask, ViewName};
-use lobelia_sg::statistics::median;
-use lobelia_world::checkpoint::{self, Span, has_part_ahead, keep_part, take_part};
-use lobelia_world::light::placement::PlacedFrame;
-use lobelia_world::material::sheen::KnownAlong;
-use lobelia_world::material::{
-    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, USUAL_ALBEDO,
-    recovered_albedo, recovered_materials, spawn_texels,
-};
-use lobelia_world::pipeline::pool::despawn_rows;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot};
-use lobelia_world::sample::point::Scenery;
-use rand::seq::SliceRandom;
-use rand::{SeedableRng, rngs::SmallRng};
-use rayon::prelude::*;
-use std::ops::ControlFlow;
-use std::sync::Arc;
-use tracing::info_span;
+use lobelia_geometry::view::{Split, ViewMask};
+use lobelia_world::checkpoint::{Span, has_part_ahead, keep_part, take_part};
+use lobelia_world::material::{sheen::KnownAlong, spawn_texels};
+use lobelia_world::{checkpoint, pipeline::pool::despawn_rows};
+use rand::{SeedableRng, rngs::SmallRng, seq::SliceRandom};
 
 /// Distance from a silhouette, in pixels, within which silhouette rays are cast.
 const SILHOUETTE_REACH: f32 = 6.0;
@@ -81,7 +59,10 @@ pub struct ShapeOptions {
 }
 
 /// The systems that fit a shape; removing the plugin removes them.
-struct ShapePlugin;
+struct ShapePlugin {
+    /// Whether cameras are aligned as well, with photographs and masks.
+    cameras: bool,
+}
 
 impl Plugin for ShapePlugin {
     fn build(&self, pipeline: &mut Pipeline) {
@@ -91,19 +72,12 @@ impl Plugin for ShapePlugin {
             .swap(Phase::FitStep, Slot::Retrace, retrace_window)
             .swap(Phase::FitStep, Slot::ShapeGradient, gradients)
             .swap(Phase::FitStep, Slot::ShapeUpdate, move_bricks);
-    }
-}
-
-/// The systems that align cameras with photographs and masks, during the fit of a shape.
-struct ShapeCameraPlugin;
-
-impl Plugin for ShapeCameraPlugin {
-    fn build(&self, pipeline: &mut Pipeline) {
-        pipeline
-            .swap(Phase::FitStep, Slot::Recast, recast_silhouettes)
-            .swap(Phase::FitStep, Slot::Retrace, retrace_window)
-            .swap(Phase::FitStep, Slot::CameraGradient, (align_photographs, align_silhouettes).chain());
-        pipeline.world.resource_mut::<CameraFit>().object_moves = true;
+        if self.cameras {
+            let align = (align_photographs, align_silhouettes).chain();
+            pipeline.swap(Phase::FitStep, Slot::Recast, recast_silhouettes);
+            pipeline.swap(Phase::FitStep, Slot::CameraGradient, align);
+            pipeline.world.resource_mut::<CameraFit>().object_moves = true;
+        }
     }
 }
 
@@ -186,15 +160,15 @@ pub fn fit_shape(
         report.spanned = span_unseen(&mut hull, &silhouettes, SPANNED_CELLS);
     }
     check_interrupted()?;
-    world.spawn_batch(samples);
-    pipeline.add_plugin(&ShapePlugin);
-    if options.cameras != CameraUnknowns::Given {
-        pipeline.add_plugin(&CameraPlugin(options.cameras)).add_plugin(&ShapeCameraPlugin);
+    world.insert_resource(SilhouetteSamples(samples));
+    let cameras = options.cameras != CameraUnknowns::Given;
+    if cameras {
+        pipeline.add_plugin(&CameraPlugin(options.cameras));
     }
+    pipeline.add_plugin(&ShapePlugin { cameras });
     let found = fit_levels(pipeline, (hull, empty), report, &mut silhouettes, options, watch);
-    pipeline.remove_plugin::<ShapeCameraPlugin>().remove_plugin::<CameraPlugin>();
-    pipeline.remove_plugin::<ShapePlugin>();
-    despawn_with::<SilhouetteSample>(&mut pipeline.world);
+    pipeline.remove_plugin::<ShapePlugin>().remove_plugin::<CameraPlugin>();
+    pipeline.world.remove_resource::<SilhouetteSamples>();
     found
 }
 
@@ -226,10 +200,6 @@ fn fit_levels(
         }
         let schedule = options.levels[index].schedule;
         let (volume, empty) = (surface.volume.clone(), surface.empty.clone());
-        // The field and its bricks.
-        let bricks = (0..).map(BrickIndex).zip(bricks_near_surface(&surface.grid));
-        let still = BrickMoments([0.0; BRICK_LEN]);
-        world.spawn_batch(bricks.map(move |(index, at)| (index, at, still)));
         world.insert_resource(Scenery(Arc::new(surface.clone())));
         world.insert_resource(ModelError::new(&surface.grid));
         world.insert_resource(SdfField::new(surface));
@@ -239,7 +209,6 @@ fn fit_levels(
         let result = run_fit(pipeline, &fit, &mut |fit, world| {
             watch(&ShapeProgress { hull: report, level: index, levels, fit }, world)
         });
-        despawn_with::<BrickAt>(&mut pipeline.world);
         let field = pipeline.world.remove_resource::<SdfField>();
         let field = field.expect("a level leaves the field it entered");
         surface = SdfSurface { grid: field.surface.grid, volume, empty };
@@ -271,8 +240,7 @@ fn keep_level(world: &mut World, index: usize, surface: &SdfSurface, error: Opti
     keep_part(world, &saved)
 }
 
-/// The level that a fit begins with, and what it starts from: the first and the hull, with gray texels, or what a run that is resumed has
-/// kept.
+/// The level that a fit begins with, and what it starts from: the first and the hull, with gray texels, or what a run that is resumed has kept.
 fn begin_levels(
     world: &mut World,
     (mut hull, empty): (SdfGrid, Option<SdfGrid>),
@@ -358,24 +326,19 @@ fn with_texels(
 }
 
 /// The pixels around the silhouettes of all training masks that are consistent with the hull, shuffled; at most `most`.
-fn silhouette_samples(
-    hull: &SdfGrid,
-    silhouettes: &[Silhouette],
-    seed: u64,
-    most: usize,
-) -> Vec<(SilhouetteIndex, SilhouetteSample)> {
+fn silhouette_samples(hull: &SdfGrid, views: &[Silhouette], seed: u64, most: usize) -> Vec<SilhouetteSample> {
     // Silhouette and pixel: a sample is ten times as large.
     let near_one = |(number, silhouette): (u32, &Silhouette)| {
         let reliable = reliable_pixels(hull, silhouette);
         let is_near = |&i: &usize| reliable[i] && silhouette.distance(i).abs() < SILHOUETTE_REACH;
         (0..reliable.len()).filter(is_near).map(|i| (number, i as u32)).collect::<Vec<_>>()
     };
-    let views = (0..silhouettes.len() as u32).into_par_iter().zip(silhouettes);
-    let mut near: Vec<(u32, u32)> = views.filter(|_| !is_stopping()).flat_map_iter(near_one).collect();
+    let numbered = (0..views.len() as u32).into_par_iter().zip(views);
+    let mut near: Vec<(u32, u32)> = numbered.filter(|_| !is_stopping()).flat_map_iter(near_one).collect();
     near.shuffle(&mut SmallRng::seed_from_u64(seed));
     near.truncate(most);
-    let sample = |(number, pixel): (u32, u32)| SilhouetteSample::new(&silhouettes[number as usize], pixel);
-    (0..).map(SilhouetteIndex).zip(near.into_iter().map(sample)).collect()
+    let sample = |(number, pixel): (u32, u32)| SilhouetteSample::new(&views[number as usize], pixel);
+    near.into_iter().map(sample).collect()
 }
 
 /// Replaces the texels in the world by texels with this albedo, and no sheen but a known one.
@@ -387,7 +350,8 @@ pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
 
 /// Removes the texels; returns the blend weights of those that replace them, and their sheen.
 fn new_material(world: &mut World, albedo: &[Vec3]) -> (SpecularBlend, Vec<DiffuseSheen>) {
-    despawn_with::<TexelIndex>(world);
+    let texels = entities::<With<TexelIndex>>(world);
+    despawn_rows(world, &texels);
     let materials = recovered_materials(world);
     let mut blend = SpecularBlend::even(materials.len().max(1));
     if materials.iter().zip(0..).any(|((number, _), place)| *number != place) {
@@ -398,8 +362,7 @@ fn new_material(world: &mut World, albedo: &[Vec3]) -> (SpecularBlend, Vec<Diffu
     (blend, known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()]))
 }
 
-/// Removes from the found field what lies outside the hull, and moves its contours to the outlines of the training masks
-/// (`outline`).
+/// Removes from the found field what lies outside the hull, and moves its contours to the outlines of the training masks (`outline`).
 pub fn refine_by_outlines(world: &mut World, surface: &mut SdfSurface) -> OutlineReport {
     let mut silhouettes = training_silhouettes(world);
     let grid = &mut surface.grid;
@@ -431,11 +394,6 @@ pub fn refine_by_mirror(
 ) -> NormalReport {
     let frame = PlacedFrame::own(world);
     refine_normals(mesh, &training_views(world), &frame, go_on)
-}
-
-fn despawn_with<T: Component>(world: &mut World) {
-    let entities: Vec<Entity> = world.query_filtered::<Entity, With<T>>().iter(world).collect();
-    despawn_rows(world, &entities);
 }
 
 #[cfg(test)]

@@ -1,23 +1,11 @@
 use super::*;
-use crate::fit::ObjectTurned;
 use crate::fit::components::{StepRates, Unknowns};
-use crate::fit::guard::StepGuard;
-use crate::fit::loss::Loss;
-use crate::fit::observe::PixelChoice;
-use crate::fit::run::FitPlugin;
-use crate::fit::scale::ScaleRule;
-use crate::shade::systems::kernel_specular;
-use bevy_ecs::prelude::{Res, ResMut};
-use lobelia_geometry::view::{Image, Mask, StoredMask};
+use crate::fit::loss::{Loss, radiance};
+use crate::fit::{ObjectTurned, guard::StepGuard, observe::PixelChoice, run::FitPlugin, scale::ScaleRule};
+use crate::{shade::systems::kernel_specular, shape::test_support::Pictures};
 use lobelia_sg::brdf::Ndf;
 use lobelia_sg::fibonacci::{fibonacci_axes, spacing_sharpness};
-use lobelia_sg::ray::Intersect;
-use lobelia_sg::shading::{ClosedForm, Layers, LobeColumns, ShadePoint};
-use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
-use lobelia_world::material::SpecularLobe;
-use lobelia_world::pipeline::Stage;
-use lobelia_world::pipeline::pool::read_column;
 
 const SIZE: u32 = 48;
 const SPECULAR: SpecularLobe = SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.4, ndf: Ndf::Sg };
@@ -40,40 +28,24 @@ fn lobes() -> Vec<LightLobe> {
     axes.map(lobe).collect()
 }
 
-/// A view of the dented ball in closed form: what the fit's own model can explain.
-fn photograph(surface: &SdfSurface, camera: &Camera) -> (Photograph, StoredMask) {
-    let point = |pixel: u32| {
-        let ray = camera.pixel_ray(pixel);
-        surface.intersect(&ray, 0.0).map_or(ShadePoint::default(), |hit| ShadePoint {
-            normal: hit.normal.into(),
-            to_viewer: (-ray.direction).into(),
-            albedo: [0.5, 0.4, 0.3],
-        })
-    };
-    let points: Vec<ShadePoint> = (0..SIZE * SIZE).map(point).collect();
-    let columns = LobeColumns::from_lobes(lobes().iter().map(Into::into));
-    let mut shaded = vec![Layers::default(); points.len()];
-    ClosedForm::default().shade(&points, &kernel_specular(&SPECULAR), &columns, &mut shaded);
-    let radiance = |l: &Layers| Vec3::from(l.diffuse) + Vec3::from(l.specular);
-    let pixels = shaded.iter().map(radiance).collect();
-    let coverage = points.iter().map(|p| if p.is_missed() { 0.0 } else { 1.0 }).collect();
-    let image = Image { width: SIZE, height: SIZE, pixels };
-    (Photograph::of_image(&image), StoredMask::new(&Mask { width: SIZE, height: SIZE, coverage }))
-}
-
+/// Views of the dented ball in closed form: what the fit's own model can explain.
 fn world_of_photographs() -> Pipeline {
     let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 64, dented);
-    let volume = TexelVolume::new(&grid, 16, 0.5);
-    let surface = SdfSurface { grid, volume, empty: None };
+    let columns = LobeColumns::from_lobes(lobes().iter().map(Into::into));
+    let shot = Pictures::new(Camera::around(32, 3.0, 36.0, SIZE).unwrap(), |_, ray| {
+        let normal = grid.gradient(ray.origin + ray.direction * grid.first_crossing(ray, 0.0)?).normalize();
+        let to_viewer = (-ray.direction).into();
+        let point = ShadePoint { normal: normal.into(), to_viewer, albedo: [0.5, 0.4, 0.3] };
+        let mut shaded = [Layers::default()];
+        ClosedForm::default().shade(&[point], &kernel_specular(&SPECULAR), &columns, &mut shaded);
+        Some(radiance(&shaded[0]))
+    });
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FitPlugin);
-    for (i, axis) in fibonacci_axes(32).into_iter().enumerate() {
-        let up = if axis.y.abs() > 0.9 { Vec3::X } else { Vec3::Y };
-        let camera = Camera::look_at(3.0 * axis, Vec3::ZERO, up, 36.0, SIZE, SIZE).unwrap();
-        let (photograph, mask) = photograph(&surface, &camera);
+    let views = shot.cameras.into_iter().zip(shot.photographs).zip(shot.masks);
+    for (i, ((camera, photograph), mask)) in (0..).zip(views) {
         let name = ViewName(format!("{i}"));
-        let index = ViewIndex(i as u32);
-        pipeline.world.spawn((index, name, camera, Split::Train, photograph, ViewMask(mask)));
+        pipeline.world.spawn((ViewIndex(i), name, camera, Split::Train, photograph, ViewMask(mask)));
     }
     pipeline.world.spawn_batch(lobes());
     pipeline.world.spawn(SPECULAR);
@@ -148,8 +120,7 @@ fn the_systems_leave_when_the_fit_ends() {
     let stop_at_once = &mut |_: &ShapeProgress, _: &mut World| ControlFlow::Break(());
     fit_shape(&mut pipeline, &options(50), stop_at_once).unwrap();
     assert!(pipeline.world.get_resource::<SdfField>().is_none());
-    assert_eq!(pipeline.world.query::<&BrickAt>().iter(&pipeline.world).count(), 0);
-    assert_eq!(pipeline.world.query::<&SilhouetteSample>().iter(&pipeline.world).count(), 0);
+    assert!(pipeline.world.get_resource::<SilhouetteSamples>().is_none());
     // A fit of a surface that stays as it is runs as before.
     let options = FitOptions { steps: 2, ..options(2).fit };
     let summary = run_fit(&mut pipeline, &options, &mut |_, _| ControlFlow::Continue(())).unwrap();

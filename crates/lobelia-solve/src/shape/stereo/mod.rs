@@ -16,19 +16,11 @@
 
 mod sweep;
 
-use crate::shape::field::ModelError;
+use crate::prelude::*;
 use crate::shape::outline::{outline_votes, within_room};
 use crate::shape::pictures::{MatchPicture, Seen, TrainingView, focal, picture_factor};
 use crate::shape::shell::{Plate, Shell, VertexGraph, area_vector};
-use crate::shape::silhouette::Silhouette;
-use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::view::Placement;
-use lobelia_sg::statistics::median;
-use rayon::prelude::*;
-use std::ops::ControlFlow;
+use crate::shape::{field::ModelError, silhouette::Silhouette};
 use sweep::{Matched, Sweep, neighbors, sweep};
 
 /// From coarse to fine: size of a pixel relative to the finest picture's, and the search around the mesh.
@@ -394,11 +386,10 @@ fn smooth_step(x: f32, (low, high): (f32, f32)) -> f32 {
 /// Whether what photographs show around each merged vertex of `shell` is a pattern on the surface, or something that it mirrors: in
 /// [0, 1), near 1 for a pattern. 0 where fewer than three views see the surface.
 ///
-/// Two neighboring views agree on what metal or glaze mirrors: it seems to lie behind the surface. Views farther apart see other things
-/// in the mirror. So each vertex gets the mean and the variance of what all views show there. Where the mean still varies along the
-/// surface, that is a pattern of the surface itself; where the views vary more than their mean does along the surface, they show
-/// reflections, or the surface is not where it should be. The result is the variance of the mean along the surface, as a part of that
-/// and the variance over the views.
+/// Two neighboring views agree on what metal or glaze mirrors: it seems to lie behind the surface. Views farther apart see other things in the
+/// mirror. So each vertex gets the mean and the variance of what all views show there. Where the mean still varies along the surface, that is a
+/// pattern of the surface itself; where the views vary more than their mean does along the surface, they show reflections, or the surface is not
+/// where it should be. The result is the variance of the mean along the surface, as a part of that and the variance over the views.
 pub(crate) fn pattern_shares(mesh: &Mesh, shell: &Shell, pictures: &[MatchPicture]) -> Vec<f32> {
     let bvh = TriangleBvh::new(mesh);
     let seen: Vec<Vec<Seen>> = pictures.par_iter().map(|picture| picture.cast(&bvh)).collect();

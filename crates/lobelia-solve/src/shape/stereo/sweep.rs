@@ -5,9 +5,8 @@
 //! the neighbors through the shifted surface. Patches are then compared by zero-mean normalized cross-correlation (ZNCC)
 //! with box windows. The slant of the surface is that of the mesh, so that no normals need a search.
 
+use crate::prelude::*;
 use crate::shape::pictures::{MatchPicture, Seen, views_beside};
-use glam::Vec3;
-use lobelia_sg::statistics::median;
 
 /// Angles in degrees between a view and its neighbors: less shows no depth, more does not look alike.
 const ANGLES: (f32, f32) = (6.0, 35.0);
@@ -126,14 +125,8 @@ pub(super) fn sweep(
     let shift_of = |step: f32| (step - search.steps as f32) * search.step;
     let mut scores = vec![f32::NEG_INFINITY; steps * count];
     let mut variance = vec![0.0f32; count];
-    let mut buffers = Buffers {
-        pixels: vec![[0.0; 8]; count],
-        along_rows: vec![[0.0; 8]; count],
-        agreement: vec![[f32::NEG_INFINITY; AGREEING]; count],
-    };
     for step in 0..steps {
-        let row = &mut scores[step * count..][..count];
-        task.score(shift_of(step as f32), row, &mut variance, &mut buffers);
+        task.score(shift_of(step as f32), &mut scores[step * count..][..count], &mut variance);
     }
     // The best depth of each pixel.
     let distance = seen.iter().map(|seen| seen.distance).collect();
@@ -163,25 +156,20 @@ struct Task<'a> {
     step: f32,
 }
 
-struct Buffers {
-    pixels: Vec<Sums>,
-    along_rows: Vec<Sums>,
-    agreement: Vec<[f32; AGREEING]>,
-}
-
 impl Task<'_> {
     fn distance(&self, at: usize, shift: f32) -> f32 {
         self.seen[at].distance * (1.0 + shift * self.step)
     }
 
     /// The mean agreement with the best neighbors at one shift.
-    fn score(&self, shift: f32, scores: &mut [f32], variance: &mut [f32], buffers: &mut Buffers) {
-        let Buffers { pixels, along_rows, agreement } = buffers;
-        agreement.fill([f32::NEG_INFINITY; AGREEING]);
+    fn score(&self, shift: f32, scores: &mut [f32], variance: &mut [f32]) {
+        let mut pixels = vec![[0.0; 8]; scores.len()];
+        let mut along_rows = pixels.clone();
+        let mut agreement = vec![[f32::NEG_INFINITY; AGREEING]; scores.len()];
         let width = self.reference.window.width as usize;
         for source in self.sources {
-            self.warp(source, shift, pixels);
-            box_sums(pixels, width, along_rows);
+            self.warp(source, shift, &mut pixels);
+            box_sums(&mut pixels, width, &mut along_rows);
             for (at, sums) in pixels.iter().enumerate() {
                 let Some((zncc, least)) = zncc(sums) else { continue };
                 variance[at] = variance[at].max(least);
