@@ -8,7 +8,6 @@
 //! | [`visibility`] | shadows and interreflection for closed forms |
 
 pub mod fit;
-mod prelude;
 pub mod shade;
 pub mod shape;
 pub mod visibility;

@@ -14,11 +14,22 @@
 use crate::fit::guard::{StepGuard, is_usable};
 use crate::fit::observe::{GradientsNeeded, take_gradients};
 use crate::fit::{components::StepRates, exposure::Exposures, loss::radiance};
-use crate::prelude::*;
 use bevy_ecs::prelude::Mut;
+use bevy_ecs::prelude::{Component, Entity, Query, Res, ResMut, Resource, With, World};
 use glam::{Affine3A, Quat};
+use glam::{Vec2, Vec3};
+use lobelia_geometry::Result;
+use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex, ViewName};
 use lobelia_sg::linear::{cholesky, solve_factored};
+use lobelia_sg::ray::Intersect;
+use lobelia_sg::shading::Layers;
+use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
+use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::ImageGradient;
+use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay};
+use lobelia_world::sample::point::{Scenery, SurfacePoint};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Steps between two moves of the cameras; their normal equations are summed over these.
 const MOVE_EVERY: u32 = 25;

@@ -3,8 +3,10 @@
 
 use crate::fit::loss::{Loss, LossSums};
 use crate::fit::roughness::PerMaterial;
-use crate::prelude::*;
+use bevy_ecs::prelude::{Component, Resource};
+use glam::Vec3;
 use lobelia_sg::shading::{ChunkSums, SharedGradient, SpecularAdjoint};
+use serde::{Deserialize, Serialize};
 
 /// Gradient of the loss with respect to a texel's diffuse albedo.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]

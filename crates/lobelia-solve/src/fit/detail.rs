@@ -20,20 +20,37 @@
 use crate::fit::groups::{exchange_light, groups_of_views};
 use crate::fit::observe::{observed_in, spawn_samples, usable_by_view, usable_pixels};
 use crate::fit::{components::TexelSeen, exposure::Exposures, metal::Metals};
-use crate::prelude::*;
 use crate::shade::frame::{add_gathering, add_material_resources, trace_samples};
 use crate::shade::shade_closed_form;
 use crate::visibility::{WindowVisibility, see_material};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World};
 use bytemuck::{Pod, Zeroable};
 use glam::Mat2;
+use glam::{Mat3, Vec2, Vec3};
 use half::f16;
+use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex};
+use lobelia_geometry::{Error, Result};
 use lobelia_sg::ray::TexelAddress;
+use lobelia_sg::shading::{ClosedForm, Layers, ShadePoint};
 use lobelia_world::light::lights::{LightChoice, provide_light};
+use lobelia_world::light::placement::LightGroup;
 use lobelia_world::material::material_source::RecoveredMaterial;
 use lobelia_world::material::sheen::{KnownAlong, grazing, has_sheen, mean_albedo, write_albedo};
 use lobelia_world::material::tilt::{DirectionalAlbedo, MOST_TILT, along_surface};
+use lobelia_world::material::{
+    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, TexelIndex, recovered_materials,
+};
+use lobelia_world::pipeline::pool::read_column;
 use lobelia_world::pipeline::{GatherPoints, pool::write_column};
+use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
+use lobelia_world::sample::Samples;
+use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay};
+use lobelia_world::sample::point::SurfacePoint;
 use lobelia_world::sample::{despawn_pool, pixel::Window};
+use rayon::prelude::*;
+use std::ops::ControlFlow;
+use tracing::info_span;
 
 /// Sweeps over all pixels. They are cheap beside shading.
 const SWEEPS: u32 = 7;

@@ -12,10 +12,19 @@
 
 use crate::fit::initialization::{Initialization, Known, extent, lobes_of, traced, with_initialization};
 use crate::fit::{components::Unknowns, loss::radiance, run::FitOptions};
-use crate::prelude::*;
 use crate::shade::systems::kernel_specular;
+use bevy_ecs::prelude::World;
+use glam::Vec3;
+use lobelia_geometry::Result;
 use lobelia_sg::linear::{cholesky, solve_factored};
+use lobelia_sg::shading::{ClosedForm, Lighting, LobeColumns, LobeVisibility, ShadePoint, SpecularValue};
 use lobelia_sg::{fibonacci::fibonacci_axes, sg::sphere_integral, shading::RESPONSE_ROWS};
+use lobelia_world::light::LightLobe;
+use lobelia_world::material::{SpecularLobe, recovered_albedo, recovered_materials};
+use lobelia_world::sample::Observation;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
 use std::{collections::HashMap, f32::consts::FRAC_1_PI};
 
 /// Cells along the longest side of the object whose pixels have residuals that may be alike, and patches along it whose albedo has a factor.
@@ -460,7 +469,9 @@ impl Posterior {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use lobelia_sg::shading::Layers;
     use lobelia_sg::{brdf::Ndf, published::Lobe};
+    use lobelia_world::sample::point::SurfacePoint;
 
     #[test]
     fn words_leave_out_what_is_given() {

@@ -5,9 +5,17 @@
 //! factors of the photographs under a light is held at 1: a common factor belongs to the light.
 
 use crate::fit::components::StepRates;
-use crate::prelude::*;
+use bevy_ecs::prelude::{Res, ResMut, Resource};
+use glam::{DVec3, Vec3};
+use lobelia_geometry::view::ViewIndex;
+use lobelia_sg::shading::Layers;
 use lobelia_sg::statistics::quantile;
+use lobelia_world::light::placement::LightGroup;
+use lobelia_world::pipeline::SystemResult;
+use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::SATURATION;
+use lobelia_world::sample::pixel::{Observed, PixelOf};
+use serde::{Deserialize, Serialize};
 
 /// Decay factor of the sums, per window.
 const MEMORY: f64 = 0.97;

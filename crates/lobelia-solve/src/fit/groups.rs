@@ -5,11 +5,16 @@
 //! proportion to their pixels. Albedo and materials are common to all, and so is the scale between light and albedo.
 
 use crate::fit::run::{entities, remove_from};
-use crate::prelude::*;
 use crate::{fit::components::LobeMoments, visibility::ObjectVisibility};
 use bevy_ecs::prelude::Without;
+use bevy_ecs::prelude::{Component, Entity, With, World};
+use lobelia_geometry::view::{ByView, Placement, ViewIndex};
+use lobelia_world::light::LightLobe;
 use lobelia_world::light::groups::{group_light, light_groups};
 use lobelia_world::light::lights::{LobeOf, LobesOf};
+use lobelia_world::light::placement::{LightGroup, Placements};
+use lobelia_world::sample::{Observation, ObservationIndex};
+use std::ops::Range;
 
 /// Least share of the steps that a group has, relative to an equal share.
 const LEAST_SHARE: f64 = 0.25;

@@ -8,9 +8,23 @@
 use crate::fit::components::{AlbedoGradient, LossState, StepGradient};
 use crate::fit::exposure::Exposures;
 use crate::fit::{loss::LossSums, observe::main_texel, roughness::BlendGradient, sheen::SheenGradient};
-use crate::prelude::*;
 use bevy_ecs::component::Mutable;
+use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
+use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
+use lobelia_geometry::{Error, Result};
+use lobelia_sg::shading::{Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint};
+use lobelia_world::light::LightLobe;
 use lobelia_world::light::groups::FittedLobe;
+use lobelia_world::light::lights::IncidentLight;
+use lobelia_world::material::{
+    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
+};
+use lobelia_world::pipeline::SystemResult;
+use lobelia_world::pipeline::pool::read_column;
+use lobelia_world::sample::Samples;
+use lobelia_world::sample::pixel::{Observed, PixelOf};
+use lobelia_world::sample::point::SurfacePoint;
+use serde::{Deserialize, Serialize};
 
 /// Steps in a row that may be taken back; one more ends the fit.
 const MOST_IN_A_ROW: u32 = 9;

@@ -5,15 +5,33 @@
 //! [`fit_map`](lobelia_world::light::map_fit), with photographs in place of the map.
 
 use crate::fit::{components::Unknowns, groups::exchange_light, loss::radiance};
-use crate::prelude::*;
 use crate::shade::systems::{kernel_specular, turned};
 use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
+use bevy_ecs::prelude::{Entity, With, World};
 use bevy_ecs::{prelude::Without, system::SystemState};
+use fearless_simd::{Level, dispatch};
+use glam::{DVec3, Mat3, Vec3};
+use lobelia_geometry::error::stop::check_interrupted;
+use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
+use lobelia_geometry::{Error, Result};
 use lobelia_sg::linear::descend_nonnegative;
+use lobelia_sg::shading::{
+    ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, PointVisibility, ShadePoint, SpecularValue,
+};
 use lobelia_sg::{brdf::Ndf, color::luminance, published::Lobe, sg::sphere_integral, shading::RESPONSE_ROWS};
+use lobelia_world::light::LightLobe;
+use lobelia_world::light::placement::{LightGroup, PlacedFrame};
+use lobelia_world::material::{
+    MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, USUAL_ALBEDO, recovered_albedo, recovered_materials,
+};
+use lobelia_world::sample::Observation;
+use lobelia_world::sample::point::SurfacePoint;
 use lobelia_world::sample::{Observations, light_rotations};
 use lobelia_world::{light::groups::light_groups, light::lights::LobeOf, material::sheen::write_albedo};
+use rayon::prelude::*;
+use std::ops::Range;
 use std::{borrow::Cow, f32::consts::FRAC_1_PI};
+use tracing::info_span;
 
 /// Most pixels in a solve for the amplitudes.
 const AMPLITUDE_PIXELS: usize = 6144;
@@ -538,6 +556,8 @@ mod tests {
     use super::*;
     use lobelia_sg::fibonacci::{fibonacci_axes, spacing_sharpness};
     use lobelia_sg::ray::TexelAddress;
+    use lobelia_world::sample::pixel::Observed;
+    use lobelia_world::sample::pixel::PixelOf;
 
     #[test]
     fn a_part_of_the_surface_has_all_pixels_of_its_places() {

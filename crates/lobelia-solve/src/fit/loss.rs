@@ -1,8 +1,16 @@
 //! The image loss and its adjoint; how a fit explains each photograph, from its last visit to every pixel: what a report names views by.
 
 use crate::fit::exposure::Exposures;
-use crate::prelude::*;
+use bevy_ecs::prelude::{Res, ResMut, Resource, With, World};
+use glam::Vec3;
+use lobelia_geometry::Result;
+use lobelia_geometry::view::ViewIndex;
 use lobelia_sg::color::{luminance, srgb_from_linear};
+use lobelia_sg::shading::{Layers, RadianceAdjoint};
+use lobelia_world::pipeline::SystemResult;
+use lobelia_world::sample::pixel::{Observed, PixelOf};
+use lobelia_world::sample::{Observation, ObservationIndex, Samples};
+use serde::{Deserialize, Serialize};
 
 /// The function that a fit minimizes, averaged over pixels and channels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

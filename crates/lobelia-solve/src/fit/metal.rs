@@ -6,7 +6,14 @@
 
 use crate::fit::components::{StepRates, Unknowns};
 use crate::fit::roughness::TexelPlaces;
-use crate::prelude::*;
+use bevy_ecs::prelude::{Query, Res};
+use glam::Vec3;
+use lobelia_world::material::{
+    BaseMaterial, DiffuseAlbedo, DiffuseSheen, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, Texels,
+    USUAL_ALBEDO,
+};
+use lobelia_world::pipeline::SystemResult;
+use rayon::prelude::*;
 
 /// The specular albedo of dielectrics: water has 0.02, glass and varnish 0.04, dense glaze 0.08.
 pub const DIELECTRIC_ALBEDO: (f32, f32) = (0.02, 0.08);

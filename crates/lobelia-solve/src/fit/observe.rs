@@ -2,17 +2,31 @@
 //! Each step then takes some of them into the samples.
 
 use crate::fit::{components::TexelSeen, groups::groups_of_views};
-use crate::prelude::*;
+use bevy_ecs::prelude::{Query, Res, Resource, With, World};
 use bevy_ecs::system::RunSystemOnce;
+use glam::Vec2;
+use lobelia_geometry::error::stop::check_interrupted;
+use lobelia_geometry::view::{ByView, Camera, Photograph, StoredMask, ViewIndex};
 use lobelia_geometry::view::{PixelWindow, Split, ViewMask, glare_limit, raster::FULL_COVERAGE};
+use lobelia_geometry::{Error, Result};
+use lobelia_sg::ray::Intersect;
 use lobelia_sg::ray::TexelAddress;
+use lobelia_world::light::placement::Placements;
+use lobelia_world::material::{TexelIndex, Texels};
 use lobelia_world::pipeline::pool::Pool;
+use lobelia_world::pipeline::{Phase, Pipeline, SystemResult};
 use lobelia_world::sample::pixel::{ImageGradient, SATURATION, SampleIndex};
+use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay};
+use lobelia_world::sample::point::{Scenery, SurfacePoint};
 use lobelia_world::sample::{
     FitSample, FrameSample, Observations, ObservedGradient, ObservedWindow, despawn_observations,
     despawn_pool,
 };
+use lobelia_world::sample::{Observation, ObservationIndex, Samples};
 use rand::{RngExt, SeedableRng, rngs::SmallRng, seq::SliceRandom};
+use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::Arc;
 
 /// Inputs from which the pool of observed pixels was made.
 #[derive(Resource)]
@@ -432,7 +446,9 @@ mod tests {
     use super::*;
     use crate::shape::test_support::Wall;
     use glam::Affine3A;
+    use glam::Vec3;
     use lobelia_geometry::view::{Image, Mask, Split};
+    use lobelia_world::pipeline::Stage;
 
     #[test]
     fn rare_texels_keep_all_and_the_others_an_even_share() {

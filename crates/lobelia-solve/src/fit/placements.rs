@@ -11,13 +11,33 @@
 
 use crate::fit::components::{StepRates, Unknowns};
 use crate::fit::initialization::{Initialization, Known, extent, least_rough, lobes_of, with_initialization};
-use crate::prelude::*;
 use crate::shade::systems::{kernel_specular, shade_materials, turned};
 use crate::{fit::exposure::Exposures, fit::loss::radiance, visibility::WindowVisibility};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, With, World};
+use bevy_ecs::schedule::ScheduleConfigs;
+use bevy_ecs::system::ScheduleSystem;
 use glam::{DMat3, Quat};
+use glam::{DVec3, Mat3, UVec3, Vec3};
+use lobelia_geometry::Result;
+use lobelia_geometry::error::stop::check_interrupted;
+use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
+use lobelia_sg::shading::{
+    ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue,
+};
+use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, turning_axis};
+use lobelia_world::light::lights::IncidentLight;
+use lobelia_world::light::placement::{LightGroup, PlacedFrame, Placements};
 use lobelia_world::light::placement::{PlacementTurn, TurnSource, light_from_world};
+use lobelia_world::material::material_source::BaseMaterials;
+use lobelia_world::material::recovered_albedo;
+use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Stage, SystemResult};
+use lobelia_world::sample::pixel::{Observed, PixelOf};
+use lobelia_world::sample::point::PointBlend;
+use lobelia_world::sample::{Observation, Samples};
+use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
+use tracing::info_span;
 
 /// Steps under one light between two windows that are summed.
 const SUM_EVERY: u32 = 3;

@@ -9,9 +9,19 @@
 
 use crate::fit::guard::{check_adjoints, step_is_sound};
 use crate::fit::{components::TexelSeen, scale::ScaleRule};
-use crate::prelude::*;
+use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, Resource, With, World};
+use glam::{DVec3, Vec3};
+use lobelia_geometry::Result;
 use lobelia_geometry::view::{AlbedoMap, NormalMap, PriorMap};
+use lobelia_geometry::view::{ByView, ViewIndex};
 use lobelia_sg::ray::TexelAddress;
+use lobelia_sg::shading::PointAdjoint;
+use lobelia_world::material::{TexelIndex, USUAL_ALBEDO};
+use lobelia_world::pipeline::pool::read_column;
+use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
+use lobelia_world::sample::pixel::PixelOf;
+use lobelia_world::sample::point::SurfacePoint;
+use lobelia_world::sample::{Observation, ObservationIndex, Samples};
 use lobelia_world::{material::sheen::write_albedo, pipeline::ScatterAdjoints};
 
 /// Rounds of the mean on each texel and the factor of each map.

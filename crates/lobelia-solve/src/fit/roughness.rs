@@ -8,9 +8,17 @@
 //! base materials of fixed roughness, so that shading does not depend on it. The systems replace [`move_blends`] and use the same lattice.
 
 use crate::fit::components::{AdamStep, Bounded, Moments, StepGradient, StepRates, Unknowns};
-use crate::prelude::*;
+use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
+use glam::{UVec3, Vec3};
 use lobelia_geometry::mesh::atlas::TexelAtlas;
+use lobelia_world::material::material_source::BaseMaterials;
 use lobelia_world::material::texels_in_order;
+use lobelia_world::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, Texels};
+use lobelia_world::pipeline::SystemResult;
+use lobelia_world::sample::Samples;
+use lobelia_world::sample::point::SurfacePoint;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// One value per base material.
 pub type PerMaterial = [f32; MAX_SPECULAR_LOBES];

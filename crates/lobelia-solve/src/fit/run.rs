@@ -33,20 +33,36 @@ use crate::fit::systems::{
     compare_with_photographs, move_lobes, move_specular, move_texels, pull_back_radiance, scatter_to_texels,
 };
 use crate::fit::{metal::bound_diffuse_albedo, priors::follow_maps};
-use crate::prelude::*;
 use crate::shade::frame::{add_gathering, add_material_resources};
 use crate::visibility::{ObjectVisibility, RefreshDue, WindowVisibility, see_material_of_step};
 use crate::{fit::initialization::initialize_light_and_albedo, shade::shade_closed_form};
+use bevy_ecs::prelude::{Entity, IntoScheduleConfigs, Resource, With, World};
+use bevy_ecs::schedule::ScheduleConfigs;
+use bevy_ecs::system::ScheduleSystem;
 use bevy_ecs::{prelude::Bundle, query::QueryFilter};
+use lobelia_geometry::Result;
+use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
+use lobelia_sg::shading::ClosedForm;
 use lobelia_world::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_resource};
+use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::light::lights::{LightChoice, provide_light};
+use lobelia_world::light::placement::Placements;
 use lobelia_world::light::{groups::FittedLobe, lobes_in_use};
 use lobelia_world::material::material_source::{PlainBlends, RecoveredMaterial};
+use lobelia_world::material::{
+    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
+};
 use lobelia_world::material::{first_material, texels_in_order, tilt::has_tilt};
+use lobelia_world::pipeline::pool::read_column;
+use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage};
 use lobelia_world::pipeline::{ScatterAdjoints, pool::write_column};
 use lobelia_world::sample::{ObservedWindow, despawn_pool, pixel::Window};
+use serde::{Deserialize, Serialize};
+use std::ops::ControlFlow;
 use std::time::Instant;
+use tracing::info_span;
 
 /// Settings of a fit.
 #[derive(Clone, Debug, PartialEq)]

@@ -12,10 +12,24 @@
 
 use crate::fit::components::{AdamStep, Moments, StepRates, TexelSeen, Unknowns};
 use crate::fit::metal::{Metals, metalness};
-use crate::prelude::*;
 use bevy_ecs::prelude::DetectChangesMut;
+use bevy_ecs::prelude::{Query, Res, ResMut, Resource, World};
+use glam::{DVec3, Vec3, Vec4};
+use lobelia_geometry::Result;
 use lobelia_sg::sg::sphere_integral;
+use lobelia_sg::shading::{Layers, RadianceAdjoint, ShadePoint};
+use lobelia_world::light::LightLobe;
+use lobelia_world::material::{
+    BaseMaterial, DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe, TexelIndex, Texels, USUAL_ALBEDO,
+};
+use lobelia_world::pipeline::SystemResult;
+use lobelia_world::pipeline::pool::read_column;
+use lobelia_world::sample::Samples;
+use lobelia_world::sample::point::PointBlend;
 use lobelia_world::{light::groups::FittedLobe, light::lights::own_lobes, material::sheen::write_albedo};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// The rule for the scale between light and albedo, one factor per channel, when both are unknown.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -298,6 +312,7 @@ fn without_mean(v: Vec3) -> Vec3 {
 mod tests {
     use super::*;
     use crate::fit::loss::{Loss, image_loss};
+    use lobelia_world::sample::pixel::Observed;
 
     #[test]
     fn the_derivative_of_the_scale_agrees_with_differences() {

@@ -10,9 +10,20 @@
 
 use crate::fit::components::{AdamStep, AlbedoGradient, AlbedoMoments, Moments, StepRates, Unknowns};
 use crate::fit::{exposure::Exposures, loss::radiance, systems::moved_color};
-use crate::prelude::*;
+use bevy_ecs::prelude::{Component, Res, ResMut, Resource, With, World};
+use glam::Vec3;
 use lobelia_geometry::view::Split;
+use lobelia_geometry::view::{Camera, Photograph, ViewIndex};
+use lobelia_sg::shading::{Layers, PointAdjoint, ShadePoint};
 use lobelia_world::material::sheen::{KnownAlong, grazing, has_sheen};
+use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, TexelIndex, Texels};
+use lobelia_world::pipeline::SystemResult;
+use lobelia_world::pipeline::pool::read_column;
+use lobelia_world::sample::Samples;
+use lobelia_world::sample::pixel::{Observed, PixelOf};
+use lobelia_world::sample::point::SurfacePoint;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Gradient of the loss with respect to a texel's albedo along the surface, and the weight of the samples that it sums over.

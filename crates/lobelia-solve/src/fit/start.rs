@@ -9,8 +9,18 @@
 use crate::fit::components::Unknowns;
 use crate::fit::initialization::{Known, least_rough, lobes_of, with_initialization};
 use crate::fit::placements::{camera_axes, placements_are_open};
-use crate::prelude::*;
+use bevy_ecs::prelude::{Resource, With, World};
+use glam::Vec3;
+use lobelia_geometry::Result;
+use lobelia_geometry::error::stop::check_interrupted;
+use lobelia_geometry::view::Placement;
+use lobelia_sg::shading::ClosedForm;
+use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame, turning_axis};
+use lobelia_world::light::placement::Placements;
+use lobelia_world::material::{BaseMaterial, SpecularLobe, recovered_albedo, recovered_materials};
+use serde::{Deserialize, Serialize};
+use tracing::info_span;
 
 /// Fewest views that tell frames apart.
 const LEAST_VIEWS: usize = 6;

@@ -9,12 +9,28 @@ use crate::fit::components::{
 };
 use crate::fit::metal::{DIELECTRIC_ALBEDO, is_dielectric};
 use crate::fit::{exposure::Exposures, loss::image_loss, roughness::PerMaterial};
-use crate::prelude::*;
 use crate::shade::device::{ShadingDevice, failed, loops_of};
 use crate::shade::systems::{Showing, kernel_materials};
 use crate::visibility::WindowVisibility;
+use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut};
+use bevy_ecs::schedule::ScheduleConfigs;
+use bevy_ecs::system::ScheduleSystem;
+use glam::Vec3;
 use lobelia_sg::shading::{CHUNK, RadianceColumns, ShadeCall, SharedGradient, SpecularAdjoint};
+use lobelia_sg::shading::{
+    ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, PointAdjoint, PointVisibility,
+    RadianceAdjoint, ShadePoint, SpecularValue,
+};
+use lobelia_world::light::LightLobe;
+use lobelia_world::light::lights::IncidentLight;
+use lobelia_world::material::material_source::BaseMaterials;
+use lobelia_world::material::{BaseMaterial, DiffuseAlbedo, SpecularLobe, Texels};
+use lobelia_world::pipeline::SystemResult;
 use lobelia_world::sample::LightRotations;
+use lobelia_world::sample::Samples;
+use lobelia_world::sample::pixel::{Observed, PixelOf};
+use lobelia_world::sample::point::{PointBlend, SurfacePoint};
+use rayon::prelude::*;
 
 /// Range of roughness in a fit; highlights of lower roughness are too narrow for single precision and for the pixels that show them.
 pub const ROUGHNESS_RANGE: Bounded = Bounded { low: 0.03, high: 1.0 };

@@ -4,8 +4,11 @@
 //! vertices first, and from there by one divergence stencil to the values. The position moves along its ray as the values change
 //! (implicit differentiation; IDR eq. 3, Niemeyer et al. 2020): dx/dφ = −d / (∇φ·d).
 
-use crate::prelude::*;
+use bevy_ecs::prelude::Resource;
+use glam::{UVec3, Vec3, Vec4};
+use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::sdf::volume::SdfSurface;
+use rayon::prelude::*;
 
 pub(crate) const BRICK_SIDE: u32 = 8;
 pub(crate) const BRICK_LEN: usize = 512;
@@ -290,6 +293,7 @@ impl FieldAdjoint {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use lobelia_sg::ray::Ray;
 
     fn is_interior(grid: &SdfGrid, row: usize) -> bool {
         let vertex = grid.vertex(row);

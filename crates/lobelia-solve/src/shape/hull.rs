@@ -16,9 +16,17 @@
 //! A field has floaters: space that no mask contradicts. They project into the masks, but always onto what the object covers anyway. A
 //! part of the object, such as a link of a chain, is needed: without it masks have pixels that show nothing ([`extract_parts`]).
 
-use crate::prelude::*;
 use crate::shape::silhouette::{MIN_VIEWS, Sighting, Silhouette};
+use glam::{Mat3, Vec3};
+use lobelia_geometry::error::stop::{check_interrupted, is_stopping};
+use lobelia_geometry::mesh::bvh::TriangleBvh;
+use lobelia_geometry::mesh::triangles::Mesh;
+use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::view::StoredMask;
+use lobelia_geometry::{Error, Result};
 use lobelia_geometry::{sdf::extract::extract_components, view::Mask, view::raster::signed_distance};
+use lobelia_sg::ray::Ray;
+use rayon::prelude::*;
 
 /// Share of the views that see a point whose masks may be wrong there.
 pub(super) const FORGIVEN: f32 = 0.02;
@@ -400,6 +408,7 @@ mod tests {
     use super::*;
     use crate::shape::test_support::{around, meets_ball, silhouettes, silhouettes_but};
     use glam::Vec3A;
+    use lobelia_geometry::view::Camera;
 
     const BALL: f32 = 0.9;
     const SIZE: u32 = 96;

@@ -11,12 +11,18 @@
 //! Source: contour generators as constraints on a surface (Cipolla and Giblin, "Visual Motion of Curves and Surfaces", 2000);
 //! the plate as in [`stereo`](crate::shape::stereo).
 
-use crate::prelude::*;
 use crate::shape::hull::extract_parts;
 use crate::shape::shell::{Plate, Shell, area_vector};
 use crate::shape::silhouette::{Sighting, Silhouette};
 use glam::IVec3;
+use glam::{UVec3, Vec2, Vec3};
+use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_geometry::mesh::triangles::{Side, sorted_sides};
+use lobelia_geometry::sdf::SdfGrid;
+use lobelia_sg::ray::Ray;
+use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Rounds: a moved surface has other contours.
 const ROUNDS: usize = 3;
@@ -286,6 +292,7 @@ mod tests {
     use super::*;
     use crate::shape::silhouette::pixel_size;
     use crate::shape::test_support::{around, mask};
+    use lobelia_geometry::view::Camera;
     use lobelia_geometry::{mesh::primitive::sphere_mesh, sdf::extract::extract_mesh};
 
     /// Masks of a ball around the origin, seen from all around, with anti-aliased outlines.

@@ -1,11 +1,17 @@
 //! Photographs with masks as small pictures of the object alone, in gray for stereo and in color for hollows.
 
 use crate::fit::loss::coded_luminance;
-use crate::prelude::*;
 use crate::shape::silhouette::{Silhouette, pixel_size};
+use glam::Vec3;
 use glam::Vec3A;
+use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_geometry::view::PixelWindow;
+use lobelia_geometry::view::{Camera, Photograph, Placement, StoredMask, ViewIndex};
 use lobelia_sg::color::srgb_from_linear;
+use lobelia_sg::ray::Ray;
+use lobelia_sg::statistics::median;
+use rayon::prelude::*;
 use std::ops::RangeInclusive;
 
 /// Coverage of a block of pixels from which it shows the object alone.

@@ -1,7 +1,9 @@
 //! The merged vertices of a mesh: a graph with positions and normals, its smoothing, and thin plates on it.
 
-use crate::prelude::*;
+use glam::Vec3;
+use lobelia_geometry::mesh::triangles::Mesh;
 use lobelia_sg::linear::conjugate_gradients;
+use rayon::prelude::*;
 
 /// Iterations of conjugate gradients for smoothing, and for plates.
 const ROUNDS: usize = 24;

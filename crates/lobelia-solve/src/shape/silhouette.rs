@@ -6,10 +6,15 @@
 //! pixels. The loss is Huber's of c minus the coverage of the mask; its gradient acts on the surface at the point where the ray is nearest.
 
 use crate::fit::cameras::AlignedRow;
-use crate::prelude::*;
 use crate::shape::{flood, neighbors};
+use bevy_ecs::prelude::Resource;
+use glam::{Vec2, Vec3};
 use half::f16;
+use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::view::{Camera, StoredMask, ViewIndex};
 use lobelia_geometry::{sdf::LeastDistance, view::PixelWindow, view::raster::signed_distance};
+use lobelia_sg::ray::Ray;
+use lobelia_world::sample::pixel::PixelOf;
 
 /// Pixels from the border of a frame within which a view abstains, and the same as a share of the frame's shorter side:
 /// masks are often trimmed there.

@@ -4,11 +4,22 @@ use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, FIRST_STEP, add_row
 use crate::fit::guard::{StepGuard, is_usable};
 use crate::fit::loss::{coded_luminance, radiance};
 use crate::fit::{components::StepRates, exposure::Exposures};
-use crate::prelude::*;
 use crate::shape::field::{
     BAND_CELLS, BrickAt, ModelError, RunValues, SampleAdjoint, SdfField, VertexRun, each, write_runs,
 };
 use crate::shape::silhouette::{SilhouetteSample, SilhouetteSamples, aligned_silhouette, loss_derivative};
+use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With};
+use glam::{Vec3, Vec4};
+use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex};
+use lobelia_sg::shading::{Layers, PointAdjoint};
+use lobelia_world::material::{DiffuseAlbedo, Texels};
+use lobelia_world::pipeline::SystemResult;
+use lobelia_world::sample::Samples;
+use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay};
+use lobelia_world::sample::point::SurfacePoint;
+use rayon::prelude::*;
+use std::ops::Range;
 
 /// Schedule of the optimization of the shape.
 #[derive(Resource, Clone, Copy, Debug, PartialEq)]

@@ -1,9 +1,13 @@
 //! Cameras around an object, and what they show of it.
 
-use crate::prelude::*;
 use crate::shape::{pictures::TrainingView, silhouette::Silhouette};
-use lobelia_geometry::view::{Image, Mask, StoredMask};
+use glam::Vec3;
+use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::view::{Camera, Photograph, Placement, StoredMask, ViewIndex};
+use lobelia_geometry::view::{Image, Mask};
+use lobelia_sg::ray::Ray;
 use lobelia_sg::ray::{Hit, Intersect, TexelAddress};
+use rayon::prelude::*;
 
 pub(crate) fn around(count: usize, distance: f32, size: u32) -> Vec<Camera> {
     Camera::around(count, distance, 40.0, size).unwrap()

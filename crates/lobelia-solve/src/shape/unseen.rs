@@ -8,8 +8,11 @@
 //! Source: motion of level sets by mean curvature (Osher and Sethian, "Fronts Propagating with Curvature-Dependent Speed", 1988,
 //! ∂φ/∂t = κ |∇φ|).
 
-use crate::prelude::*;
 use crate::shape::{cube, is_border, silhouette::Silhouette, volume};
+use glam::Vec3;
+use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::sdf::SdfGrid;
+use rayon::prelude::*;
 
 /// Cosine of the angle between ray and normal from which one view, and from which each of two, sees a surface: flatter rays only touch the
 /// cone that the masks leave.
@@ -196,6 +199,7 @@ fn lost(hull: &SdfGrid, now: &SdfGrid, silhouettes: &[Silhouette]) -> Vec<bool> 
 mod tests {
     use super::*;
     use crate::shape::{hull::visual_hull, test_support};
+    use lobelia_geometry::view::Camera;
 
     /// The masks of a field, by cameras on a part of a circle at a height.
     fn silhouettes(height: f32, circle: f32, of: impl Fn(Vec3) -> f32 + Sync) -> Vec<Silhouette> {

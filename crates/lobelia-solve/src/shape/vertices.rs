@@ -7,11 +7,21 @@
 //! few moves the contours are brought back to their outlines (`outline`).
 
 use crate::fit::guard::{StepGuard, is_usable};
-use crate::prelude::*;
 use crate::shape::shell::{Shell, VertexGraph, by_axis, pull_back_unit};
 use crate::shape::systems::{OUTLIER, root_mean_square};
 use crate::{fit::components::StepRates, shape::outline::OutlineGuide, shape::silhouette::Silhouette};
+use bevy_ecs::prelude::{Res, ResMut, Resource, World};
+use glam::Vec3;
+use lobelia_geometry::mesh::bvh::TriangleBvh;
+use lobelia_geometry::mesh::triangles::Mesh;
 use lobelia_geometry::mesh::{Surface, bvh::TriangleHit};
+use lobelia_sg::shading::PointAdjoint;
+use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
+use lobelia_world::sample::Samples;
+use lobelia_world::sample::pixel::ViewRay;
+use lobelia_world::sample::point::{Scenery, SurfacePoint};
+use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Steps between two moves; adjoints are summed over these.
 const MOVE_EVERY: u32 = 12;

@@ -21,11 +21,22 @@ pub(crate) mod occlusion;
 mod point_visibility;
 pub mod texel_visibility;
 
-use crate::prelude::*;
 use bevy_ecs::prelude::{Changed, Or, SystemCondition};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World};
+use bevy_ecs::schedule::ScheduleConfigs;
+use bevy_ecs::system::ScheduleSystem;
+use lobelia_sg::shading::PointVisibility;
+use lobelia_world::light::LightLobe;
+use lobelia_world::light::lights::IncidentLight;
+use lobelia_world::material::material_source::BaseMaterials;
 use lobelia_world::material::material_source::{
     ColumnOf, Holds, MaterialSource, MaterialTexels, RecoveredMaterial, ShownMaterial,
 };
+use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe};
+use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
+use lobelia_world::sample::Samples;
+use lobelia_world::sample::pixel::{PixelOf, ViewRay};
+use lobelia_world::sample::point::{PointBlend, Scenery, SurfacePoint};
 use lobelia_world::{material::sheen::mean_albedo, sample::LightRotations};
 use object_visibility::Made;
 use std::any::TypeId;

@@ -1,14 +1,21 @@
 //! [`ObjectVisibility`]: the occlusion of an object by itself, and the light on it at the last update.
 
-use crate::prelude::*;
 use crate::visibility::occlusion::{Behind, Bounce, Mirror, Reflectance, Sky, light_chunk, light_rows};
 use crate::visibility::point_visibility::{
     Blend, LobeRays, SeenPoint, Surroundings, first_of_alike, is_open,
 };
 use crate::visibility::texel_visibility::TexelVisibility;
+use bevy_ecs::prelude::{Entity, Resource};
+use fearless_simd::{Level, dispatch};
+use glam::{Mat3, Vec3};
 use lobelia_geometry::mesh::Surface;
 use lobelia_sg::fibonacci::fibonacci_axes;
+use lobelia_sg::shading::{LobeColumns, LobeVisibility, PointVisibility};
+use lobelia_world::sample::pixel::PixelOf;
+use lobelia_world::sample::point::SurfacePoint;
+use rayon::prelude::*;
 use std::any::TypeId;
+use std::sync::Arc;
 
 /// Angle below which two rotations count as one: 2°.
 const SAME_TURN: f32 = 0.035;

@@ -4,12 +4,16 @@
 //! a Gaussian of the width of a cell, λ' = λ·λ_c/(λ + λ_c) with λ_c = D/2 (2π/λ_c is a cell's solid angle), with the same power, so that
 //! no sharp lobe falls between two directions.
 
-use crate::prelude::*;
 use crate::visibility::texel_visibility::{TOGETHER, TexelVisibility};
 use fearless_simd::Simd;
+use fearless_simd::{Level, dispatch};
+use glam::{Mat3, Vec3};
 use lobelia_sg::lanes::{Lanes, MAX_LANES, Row};
 use lobelia_sg::real::{Real, dot};
+use lobelia_sg::shading::LobeColumns;
 use lobelia_sg::{accurate::diffuse::cosine_integral, brdf::ndf_sharpness, sg::sphere_integral};
+use rayon::prelude::*;
+use std::ops::Range;
 
 /// Least sharpness of a lobe.
 const LEAST_LOBE: f32 = 1e-6;

@@ -4,12 +4,16 @@
 //! reflected, a few rays within the lobe say what it meets. Where they meet the surface, that sends diffuse light, and its reflection
 //! of the sky in turn.
 
-use crate::prelude::*;
 use crate::visibility::occlusion::{Bounce, Cones, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe, widened};
 use crate::visibility::texel_visibility::{MAX_DIRECTIONS, OFFSET, TOGETHER, TexelVisibility};
 use fearless_simd::Simd;
+use fearless_simd::{Level, dispatch};
+use glam::{Mat3, Vec3};
+use lobelia_sg::ray::Intersect;
 use lobelia_sg::real::{Real, dot};
+use lobelia_sg::shading::PointVisibility;
 use lobelia_sg::{brdf::ndf_sharpness, color::luminance, lanes::Lanes, ray::Hit};
+use lobelia_world::sample::pixel::PixelOf;
 use std::{f32::consts::PI, sync::LazyLock};
 
 /// Directions contribute to specular light where the BRDF lobe is above e to the power of minus this.
@@ -307,6 +311,7 @@ fn weigh_directions<S: Simd>(
 mod tests {
     use super::*;
     use crate::{shape::test_support::Wall, visibility::texel_visibility::cluster};
+    use lobelia_sg::shading::LobeColumns;
     use lobelia_sg::{fibonacci::fibonacci_axes, sg::Lobe};
     use std::f32::consts::LN_2;
 

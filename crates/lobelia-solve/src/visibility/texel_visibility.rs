@@ -9,8 +9,11 @@
 //!
 //! Memory per row: one bit per direction, and 4 bytes per occluded direction.
 
-use crate::prelude::*;
+use glam::Vec3;
+use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::mesh::atlas::TexelAtlas;
+use lobelia_sg::ray::Intersect;
+use rayon::prelude::*;
 
 /// Most directions.
 pub(crate) const MAX_DIRECTIONS: usize = 4096;
@@ -256,6 +259,7 @@ mod tests {
     use glam::Vec3Swizzles;
     use lobelia_geometry::mesh::Surface;
     use lobelia_geometry::mesh::primitive::{ball_over_plate, box_mesh, sphere_mesh};
+    use lobelia_geometry::mesh::triangles::Mesh;
     use lobelia_sg::fibonacci::fibonacci_axes;
 
     fn traced(mesh: Mesh) -> (Surface, TexelVisibility) {

@@ -1,7 +1,10 @@
 //! At which depth behind a surface a photograph agrees with those around it.
 
-use crate::prelude::*;
 use crate::shape::pictures::{ColorPicture, Seen, views_beside};
+use glam::Vec3;
+use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::mesh::bvh::TriangleBvh;
+use lobelia_sg::ray::Ray;
 
 /// Angles in degrees between a view and those around it: less shows no depth, from more the same is seldom seen.
 const ANGLES: (f32, f32) = (6.0, 50.0);

@@ -8,9 +8,12 @@
 //! deep, and would eat into the object.
 
 use super::radiance_field::{FieldRay, FieldRays, RadianceField, depth, march};
-use crate::prelude::*;
 use crate::shape::{cube, flood, neighbors, size};
 use glam::Vec4Swizzles;
+use glam::{Vec3, Vec4};
+use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::sdf::SdfGrid;
+use rayon::prelude::*;
 
 /// Before the depth at which half of the light is stopped, and behind it, space counts as that where a ray is stopped, in cells.
 const MARGIN: f32 = 0.75;

@@ -19,13 +19,17 @@ mod compare;
 mod evidence;
 mod radiance_field;
 
-use crate::prelude::*;
 use crate::shape::pictures::{ColorPicture, MatchPicture, Seen, TrainingView, picture_factor};
 use crate::shape::{cube, flood, hull::extract_parts, is_border, neighbors, shell::Shell, size, volume};
 use crate::{shape::silhouette::Silhouette, shape::stereo::pattern_shares};
 use compare::{SINE, around, compare};
 use evidence::emptiness;
+use glam::Vec3;
+use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::mesh::bvh::TriangleBvh;
+use lobelia_geometry::sdf::SdfGrid;
 use radiance_field::{FieldRay, FieldRays, fit};
+use rayon::prelude::*;
 
 /// Pixels of a picture per cell of the grid.
 const PIXELS_PER_CELL: f32 = 1.5;

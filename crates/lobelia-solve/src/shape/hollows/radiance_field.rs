@@ -11,10 +11,14 @@
 //! coarse to fine (Sun, Sun and Chen, "Direct Voxel Grid Optimization", CVPR 2022); smoothness by total variation (Fridovich-Keil et
 //! al., "Plenoxels", CVPR 2022); Adam (Kingma and Ba, ICLR 2015).
 
-use crate::prelude::*;
 use crate::shape::{neighbors, pictures::ColorPicture, size};
 use glam::Vec4Swizzles;
+use glam::{UVec3, Vec3, Vec4};
+use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::sdf::SdfGrid;
+use lobelia_sg::ray::Ray;
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
+use rayon::prelude::*;
 
 /// How far outside the surface the field reaches, in cells.
 const REACH: f32 = 1.0;

@@ -1,6 +1,8 @@
 use super::*;
 use crate::shape::hull::{regrow, visual_hull};
 use crate::shape::test_support::Pictures;
+use glam::UVec3;
+use lobelia_geometry::view::Camera;
 use std::f32::consts::TAU;
 
 const SIZE: u32 = 128;

@@ -22,11 +22,19 @@
 //! (Ramamoorthi and Hanrahan, "Frequency Space Environment Map Rendering", 2002); normals by matching many views of highlights are shape from
 //! specularity (Healey and Binford 1988), here by exhaustive search.
 
-use crate::prelude::*;
 use crate::shape::pictures::TrainingView;
 use crate::shape::shell::{Shell, VertexGraph};
+use glam::{Mat3, Vec2, Vec3};
+use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::mesh::bvh::TriangleBvh;
+use lobelia_geometry::mesh::triangles::Mesh;
 use lobelia_geometry::view::raster::bilinear;
+use lobelia_sg::ray::Ray;
+use lobelia_sg::statistics::median;
+use lobelia_world::light::placement::PlacedFrame;
+use rayon::prelude::*;
 use std::f32::consts::TAU;
+use std::ops::ControlFlow;
 
 /// Angles around a normal that are tried, in degrees, and rings of directions within them: first around the mesh's, then around the best.
 const ROUNDS: [(f32, usize); 4] = [(25.0, 5), (8.0, 2), (6.0, 2), (4.0, 2)];

@@ -4,7 +4,6 @@
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
 use crate::fit::run::{FitOptions, FitProgress, Initialize, entities, run_fit};
-use crate::prelude::*;
 use crate::shape::field::{ErrorRows, ModelError, SdfField};
 use crate::shape::hollows::{HULL_SHARE, LEVEL_SHARE, carve_hollows, keep_empty, look_through};
 use crate::shape::hull::{FORGIVEN, regrow, reliable_pixels, trim, visual_hull};
@@ -18,12 +17,31 @@ use crate::shape::systems::{
 };
 use crate::shape::unseen::{SPANNED_CELLS, span_unseen};
 use crate::{fit::exposure::Exposures, fit::light_turns, shape::pictures::TrainingView};
+use bevy_ecs::prelude::{IntoScheduleConfigs, With, World};
+use glam::Vec3;
+use lobelia_geometry::error::stop::{check_interrupted, is_stopping};
+use lobelia_geometry::mesh::triangles::Mesh;
+use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::sdf::volume::{SdfSurface, TexelVolume};
+use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex, ViewName};
 use lobelia_geometry::view::{Split, ViewMask};
+use lobelia_geometry::{Error, Result};
+use lobelia_sg::statistics::median;
 use lobelia_world::checkpoint::{Span, has_part_ahead, keep_part, take_part};
+use lobelia_world::light::placement::PlacedFrame;
+use lobelia_world::material::{
+    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, USUAL_ALBEDO,
+    recovered_albedo, recovered_materials,
+};
 use lobelia_world::material::{sheen::KnownAlong, spawn_texels};
+use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot};
+use lobelia_world::sample::point::Scenery;
 use lobelia_world::{checkpoint, pipeline::pool::despawn_rows};
 use rand::{SeedableRng, rngs::SmallRng, seq::SliceRandom};
+use rayon::prelude::*;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use tracing::info_span;
 
 /// Distance from a silhouette, in pixels, within which silhouette rays are cast.
 const SILHOUETTE_REACH: f32 = 6.0;

@@ -16,11 +16,18 @@
 
 mod sweep;
 
-use crate::prelude::*;
 use crate::shape::outline::{outline_votes, within_room};
 use crate::shape::pictures::{MatchPicture, Seen, TrainingView, focal, picture_factor};
 use crate::shape::shell::{Plate, Shell, VertexGraph, area_vector};
 use crate::shape::{field::ModelError, silhouette::Silhouette};
+use glam::Vec3;
+use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::mesh::bvh::TriangleBvh;
+use lobelia_geometry::mesh::triangles::Mesh;
+use lobelia_geometry::view::Placement;
+use lobelia_sg::statistics::median;
+use rayon::prelude::*;
+use std::ops::ControlFlow;
 use sweep::{Matched, Sweep, neighbors, sweep};
 
 /// From coarse to fine: size of a pixel relative to the finest picture's, and the search around the mesh.

@@ -5,8 +5,9 @@
 //! the neighbors through the shifted surface. Patches are then compared by zero-mean normalized cross-correlation (ZNCC)
 //! with box windows. The slant of the surface is that of the mesh, so that no normals need a search.
 
-use crate::prelude::*;
 use crate::shape::pictures::{MatchPicture, Seen, views_beside};
+use glam::Vec3;
+use lobelia_sg::statistics::median;
 
 /// Angles in degrees between a view and its neighbors: less shows no depth, more does not look alike.
 const ANGLES: (f32, f32) = (6.0, 35.0);
