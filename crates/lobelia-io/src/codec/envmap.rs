@@ -121,7 +121,7 @@ pub fn write_map_exr(map: &EnvironmentMap, path: impl AsRef<Path>) -> Result<()>
 /// [`Error::Run`] for a map of another size than its texels, or with a radiance that is negative, not finite or above
 /// [`MAX_RADIANCE`](lobelia_world::light::MAX_RADIANCE); [`Error::Io`] if the file cannot be written.
 pub fn write_map_hdr(map: &EnvironmentMap, path: &Path) -> Result<()> {
-    let wrong = |problem: String| Error::run(format!("writing {}", path.display()), problem);
+    let wrong = |problem: String| file::not_written(path, problem);
     let [width, height] = [map.width, map.height].map(|side| side as usize);
     if map.radiance.len() != width * height || map.radiance.is_empty() {
         return Err(wrong(format!("{} texels do not fill {width} × {height}", map.radiance.len())));

@@ -4,7 +4,7 @@
 //! times as fast as the level that the `exr` crate has, for files that are larger by a twentieth.
 
 use crate::codec::exr::{ExrLayers, read_exr_groups};
-use crate::codec::file::{check_finite, write_file};
+use crate::codec::file::{check_finite, not_written, write_file};
 use exr::block::chunk::{Chunk, CompressedBlock, CompressedScanLineBlock};
 use exr::block::writer::ChunksWriter;
 use exr::math::Vec2;
@@ -31,46 +31,30 @@ const DEPTH: &str = "depth.Z";
 /// One channel's values of some rows.
 struct Column<'a> {
     name: &'a str,
-    values: Values<'a>,
+    count: usize,
+    at: Box<dyn Fn(usize) -> f32 + Sync + 'a>,
 }
 
-/// The values of a channel: a list of them, or an axis of vectors.
-enum Values<'a> {
-    Plain(&'a [f32]),
-    Axis(&'a [Vec3], usize),
-}
-
-impl Column<'_> {
-    fn len(&self) -> usize {
-        match self.values {
-            Values::Plain(values) => values.len(),
-            Values::Axis(values, _) => values.len(),
-        }
-    }
-
-    fn at(&self, i: usize) -> f32 {
-        match self.values {
-            Values::Plain(values) => values[i],
-            Values::Axis(values, axis) => values[i][axis],
-        }
+impl<'a> Column<'a> {
+    fn new(name: &'a str, values: &'a [f32]) -> Self {
+        Self { name, count: values.len(), at: Box::new(|i| values[i]) }
     }
 }
 
 /// The channels of a frame in the order of a file: by name.
 fn columns(frame: &Frame) -> Vec<Column<'_>> {
-    let plain = [(ALPHA, &frame.alpha), (DEPTH, &frame.depth)];
-    let triples = [
+    let mut columns = vec![Column::new(ALPHA, &frame.alpha), Column::new(DEPTH, &frame.depth)];
+    for (names, values) in [
         (COLOR, &frame.color),
         (DIFFUSE, &frame.diffuse),
         (SPECULAR, &frame.specular),
         (ALBEDO, &frame.albedo),
         (NORMAL, &frame.normal),
-    ];
-    let plain = plain.map(|(name, values)| Column { name, values: Values::Plain(values) });
-    let triples = triples.into_iter().flat_map(|(names, values)| {
-        [0, 1, 2].map(|axis| Column { name: names[axis], values: Values::Axis(values, axis) })
-    });
-    let mut columns: Vec<Column> = plain.into_iter().chain(triples).collect();
+    ] {
+        let count = values.len();
+        let column = |axis| Column { name: names[axis], count, at: Box::new(move |i| values[i][axis]) };
+        columns.extend([0, 1, 2].map(column));
+    }
     columns.sort_by_key(|column| column.name);
     columns
 }
@@ -103,9 +87,8 @@ pub fn write_frame_rows(
 /// cannot be written.
 pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()> {
     let size = [channels.width as usize, channels.height as usize];
-    let column = |(name, values)| Column { name, values: Values::Plain(values) };
     let columns: Vec<Column> =
-        channels.channels.iter().map(|(name, values)| column((name.as_str(), values.as_slice()))).collect();
+        channels.channels.iter().map(|(name, values)| Column::new(name, values)).collect();
     write_rows(path.as_ref(), &columns, size, |rows| rows.push_columns(size, &columns))
 }
 
@@ -117,7 +100,7 @@ fn write_rows(
     fill: impl FnOnce(&mut FrameRows) -> Result<()>,
 ) -> Result<()> {
     if size.contains(&0) || columns.is_empty() {
-        return Err(refused(path, "there are no pixels or no channels to write".to_owned()));
+        return Err(not_written(path, "there are no pixels or no channels to write"));
     }
     let channels = columns.iter().map(|column| ChannelDescription::named(column.name, SampleType::F32));
     let (zip, lines) = (exr::compression::Compression::ZIP16, BlockDescription::ScanLines);
@@ -133,7 +116,11 @@ fn write_rows(
         let written = exr::block::write(writer, Headers::from_iter([header]), true, |_, chunks| {
             let mut put = |index: usize, chunk: Chunk| chunks.write_chunk(index, chunk);
             let mut rows = FrameRows { path, size, next_row: 0, waiting: Vec::new(), put: &mut put };
-            outcome = fill(&mut rows).and_then(|()| rows.complete());
+            outcome = fill(&mut rows);
+            let (pushed, all) = (rows.next_row, size[1]);
+            if outcome.is_ok() && pushed != all {
+                outcome = Err(not_written(path, format!("only {pushed} of {all} rows were rendered")));
+            }
             if outcome.is_ok() { Ok(()) } else { Err(exr::error::Error::Aborted) }
         });
         outcome.and_then(|()| written.map_err(|error| failed(path, error)))
@@ -173,7 +160,7 @@ impl FrameRows<'_> {
         bytes[start..].par_chunks_exact_mut(row_bytes).enumerate().for_each(|(row, bytes)| {
             for (column, cells) in columns.iter().zip(bytes.chunks_exact_mut(4 * width)) {
                 let cells = cells.as_chunks_mut().0.iter_mut();
-                (row * width..).zip(cells).for_each(|(i, cell)| *cell = column.at(i).to_le_bytes());
+                (row * width..).zip(cells).for_each(|(i, cell)| *cell = (column.at)(i).to_le_bytes());
             }
         });
         let block_bytes = BLOCK_ROWS * row_bytes;
@@ -192,33 +179,23 @@ impl FrameRows<'_> {
     fn check(&self, [width, height]: [usize; 2], columns: &[Column]) -> Result<()> {
         let ([whole_width, whole_height], start) = (self.size, self.next_row);
         for column in columns {
-            check_finite(self.path, (0..column.len()).map(|i| column.at(i)), |at| {
+            check_finite(self.path, (0..column.count).map(&column.at), |at| {
                 let (x, y) = (at % width.max(1), start + at / width.max(1));
                 format!("channel {} is not finite at pixel ({x}, {y})", column.name)
             })?;
         }
         let count = width * height;
-        if let Some(column) = columns.iter().find(|column| column.len() != count) {
-            let problem = format!("channel {} has {} values, not {count}", column.name, column.len());
-            return Err(refused(self.path, problem));
+        if let Some(Column { name, count: found, .. }) = columns.iter().find(|column| column.count != count) {
+            return Err(not_written(self.path, format!("channel {name} has {found} values, not {count}")));
         }
         let end = start + height;
         if width != whole_width || height == 0 || end > whole_height {
             let picture = format!("{whole_width}×{whole_height}");
             let problem =
                 format!("rows {start} to {end} of {width} pixels do not fit a picture of {picture}");
-            return Err(refused(self.path, problem));
+            return Err(not_written(self.path, problem));
         }
         Ok(())
-    }
-
-    /// Checks that all rows were pushed.
-    fn complete(&self) -> Result<()> {
-        let (rows, height) = (self.next_row, self.size[1]);
-        if rows == height {
-            return Ok(());
-        }
-        Err(refused(self.path, format!("only {rows} of {height} rows were rendered")))
     }
 }
 
@@ -245,12 +222,8 @@ fn compressed(block: usize, data: &[u8]) -> Result<Chunk> {
 fn failed(path: &Path, error: exr::error::Error) -> Error {
     match error {
         exr::error::Error::Io(source) => Error::io("write", path)(source),
-        other => refused(path, other.to_string()),
+        other => not_written(path, other),
     }
-}
-
-fn refused(path: &Path, problem: String) -> Error {
-    Error::run(format!("writing {}", path.display()), problem)
 }
 
 /// A layer of a [`Frame`] in three channels, which can be left out on reading.

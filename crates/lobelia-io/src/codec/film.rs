@@ -49,7 +49,7 @@ fn write_mp4(program: &OsStr, path: &Path, frames: &[PathBuf], fps: u32) -> Resu
     let first = frames.first().ok_or_else(|| failed("a film needs at least one frame".into()))?;
     let size = even(&png_file::read_rgb8(first)?).dimensions();
     // The program works in a folder of its own: no path is taken for an option or a protocol.
-    let folder = file::scratch_folder(path.parent().unwrap_or(Path::new(".")))?;
+    let folder = file::scratch_folder(file::folder_of(path))?;
     let [made, said] = ["film.mp4", "said.txt"].map(|name| folder.path().join(name));
     let log = File::create(&said).map_err(Error::io("write", &said))?;
     let mut command = Command::new(program);
@@ -103,7 +103,7 @@ fn even(picture: &RgbImage) -> RgbImage {
 fn write_gif(path: &Path, frames: &[PathBuf], fps: u32) -> Result<()> {
     let failed = |error: ImageError| match error {
         ImageError::IoError(source) => Error::io("write", path)(source),
-        other => Error::run(format!("writing {}", path.display()), other.to_string()),
+        other => file::not_written(path, other),
     };
     file::write_file(path, |writer| {
         let mut encoder = GifEncoder::new_with_speed(writer, GIF_SPEED);

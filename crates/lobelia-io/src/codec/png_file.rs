@@ -72,7 +72,7 @@ fn write(
 ) -> Result<()> {
     let failed = |error| match error {
         png::EncodingError::IoError(source) => Error::io("write", path)(source),
-        other => Error::run(format!("writing {}", path.display()), other.to_string()),
+        other => file::not_written(path, other),
     };
     file::write_file(path, |writer| {
         let mut encoder = Encoder::new(writer, size[0], size[1]);
@@ -112,10 +112,9 @@ impl PngRows<'_> {
 /// # Errors
 /// As for [`decode_samples`]; [`Error::Input`] if it is another kind of picture.
 pub(crate) fn read_rgb8(path: &Path) -> Result<RgbImage> {
-    let picture = match decode_samples(path, Orientation::AsStored)? {
-        Decoded { width, height, samples: ImageSamples::Bytes8(samples), .. } => {
-            RgbImage::from_raw(width, height, samples)
-        }
+    let Decoded { width, height, samples, .. } = decode_samples(path, Orientation::AsStored)?;
+    let picture = match samples {
+        ImageSamples::Bytes8(samples) => RgbImage::from_raw(width, height, samples),
         _ => None,
     };
     picture.ok_or_else(|| Error::input(path, "", "it is not 8-bit RGB", "Render it again."))

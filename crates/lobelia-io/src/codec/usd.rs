@@ -2,10 +2,10 @@
 //!
 //! The material is a `UsdPreviewSurface` in its specular workflow: F0 is given, F90 is one, and the lobe is GGX with α = roughness².
 
-use crate::codec::file::check_finite;
+use crate::codec::file::{check_finite, not_written, write_bytes};
 use glam::{Vec2, Vec3};
+use lobelia_geometry::Result;
 use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::{Error, Result};
 use std::io::{Cursor, Write as _};
 use std::path::Path;
 use zip::write::SimpleFileOptions;
@@ -64,7 +64,7 @@ pub struct UsdLight<'a> {
 /// Writes `path` (`.usda`) and the textures beside it.
 ///
 /// # Errors
-/// [`Error::Run`] for a mesh without texture coordinates, or a number that is not finite; [`Error::Io`] if a file cannot be written.
+/// [`Error::Run`](lobelia_geometry::Error::Run) for a mesh without texture coordinates, or a number that is not finite; [`Error::Io`](lobelia_geometry::Error::Io) if a file cannot be written.
 pub fn write_usda(
     path: &Path,
     mesh: &Mesh,
@@ -74,9 +74,9 @@ pub fn write_usda(
 ) -> Result<()> {
     let text = stage(path, mesh, material, up, light)?;
     for image in material.images() {
-        crate::codec::file::write_bytes(&path.with_file_name(&image.name), &image.png)?;
+        write_bytes(&path.with_file_name(&image.name), &image.png)?;
     }
-    crate::codec::file::write_bytes(path, text.as_bytes())
+    write_bytes(path, text.as_bytes())
 }
 
 /// Writes `path` (`.usdz`): the same without a light, with its textures in one file.
@@ -90,32 +90,25 @@ pub fn write_usdz(path: &Path, mesh: &Mesh, material: &UsdMaterial, up: UpAxis) 
     let textures = material.images().map(|image| (image.name.as_str(), image.png.as_slice()));
     // The stage comes first: that is how readers find it.
     let parts = std::iter::once((name.as_str(), text.as_bytes())).chain(textures);
-    let failed = |error: String| Error::run(format!("writing {}", path.display()), error);
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Stored)
         .with_alignment(ALIGNMENT)
         .last_modified_time(zip::DateTime::default());
     for (name, bytes) in parts {
-        archive.start_file(name, options).map_err(|error| failed(error.to_string()))?;
-        archive.write_all(bytes).map_err(|error| failed(error.to_string()))?;
+        archive.start_file(name, options).map_err(|error| not_written(path, error))?;
+        archive.write_all(bytes).map_err(|error| not_written(path, error))?;
     }
-    let bytes = archive.finish().map_err(|error| failed(error.to_string()))?;
-    crate::codec::file::write_bytes(path, bytes.get_ref())
-}
-
-impl<T> UsdInput<T> {
-    fn image(&self) -> Option<&UsdImage> {
-        match self {
-            Self::Texture(image) => Some(image),
-            Self::Value(_) => None,
-        }
-    }
+    let bytes = archive.finish().map_err(|error| not_written(path, error))?;
+    write_bytes(path, bytes.get_ref())
 }
 
 impl UsdMaterial {
     fn images(&self) -> impl Iterator<Item = &UsdImage> {
-        std::iter::once(&self.diffuse).chain(self.specular.image()).chain(self.roughness.image())
+        fn image<T>(input: &UsdInput<T>) -> Option<&UsdImage> {
+            if let UsdInput::Texture(image) = input { Some(image) } else { None }
+        }
+        std::iter::once(&self.diffuse).chain(image(&self.specular)).chain(image(&self.roughness))
     }
 }
 
@@ -127,9 +120,9 @@ fn stage(
     up: UpAxis,
     light: Option<UsdLight>,
 ) -> Result<String> {
-    let failed = |problem: &str| Error::run(format!("writing {}", path.display()), problem);
-    let Some(uvs) = &mesh.uvs else { return Err(failed("the mesh has no texture coordinates")) };
-    let Some(bounds) = mesh.bounds() else { return Err(failed("the mesh has no triangles")) };
+    let (Some(uvs), Some(bounds)) = (&mesh.uvs, mesh.bounds()) else {
+        return Err(not_written(path, "the mesh has no texture coordinates or no triangles"));
+    };
     let vectors = mesh.positions.iter().chain(&mesh.normals).flat_map(Vec3::to_array);
     let mut of_material = Vec::new();
     if let UsdInput::Value(specular) = material.specular {
@@ -141,14 +134,10 @@ fn stage(
     let values = vectors.chain(uvs.iter().flat_map(Vec2::to_array)).chain(of_material);
     let what = |_| "a position, normal, texture coordinate or value of the material is not finite".to_owned();
     check_finite(path, values, what)?;
-    let axis = match up {
-        UpAxis::Y => "Y",
-        UpAxis::Z => "Z",
-    };
     let version = env!("CARGO_PKG_VERSION");
     let mut text = format!(
         "#usda 1.0\n(\n    defaultPrim = \"Object\"\n    doc = \"lobelia {version}\"\n    metersPerUnit = 1\n    \
-         upAxis = \"{axis}\"\n)\n\ndef Xform \"Object\" (\n    kind = \"component\"\n)\n{{\n"
+         upAxis = \"{up:?}\"\n)\n\ndef Xform \"Object\" (\n    kind = \"component\"\n)\n{{\n"
     );
     text += &surface(mesh, uvs, bounds);
     text += &shaders(material);

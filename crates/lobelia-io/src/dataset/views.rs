@@ -308,7 +308,7 @@ impl Picture {
             Self::Linear(loaded) => return loaded.alpha.clone(),
             Self::Stored(decoded) => Some(decoded).filter(|decoded| decoded.header.has_alpha())?,
         };
-        let channels = decoded.channels();
+        let channels = decoded.header.channels;
         let alphas = || (channels - 1..decoded.samples.count()).step_by(channels);
         Some(match &decoded.samples {
             ImageSamples::Bytes8(bytes) => alphas().map(|i| f32::from(bytes[i]) / 255.0).collect(),
@@ -326,7 +326,7 @@ impl Picture {
         match self {
             Self::Stored(decoded) if decoded.header.has_alpha() => false,
             Self::Stored(decoded) => {
-                let channels = decoded.channels();
+                let channels = decoded.header.channels;
                 match &mut decoded.samples {
                     ImageSamples::Bytes8(bytes) => blacken(bytes, channels, mask),
                     ImageSamples::Words16(words) => blacken(words, channels, mask),
@@ -364,7 +364,7 @@ impl Picture {
                     ImageSamples::Words16(words) => (IntegerSamples::Words(words), &curves.words),
                     ImageSamples::Floats(_) => unreachable!("floats are read as linear light"),
                 };
-                Ok(Photograph::of_integers(size, samples, decoded.channels(), curve, window))
+                Ok(Photograph::of_integers(size, samples, decoded.header.channels, curve, window))
             }
             Self::Linear(LoadedImage { mut image, mut saturated, .. }) => {
                 if downscale > 1 {

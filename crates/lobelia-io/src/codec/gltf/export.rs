@@ -1,9 +1,10 @@
 //! Writing a mesh as binary glTF 2.0.
 
+use crate::codec::file::{not_written, write_bytes};
 use crate::codec::gltf::material::GltfMaterial;
+use lobelia_geometry::Result;
 use lobelia_geometry::mesh::tangents::vertex_tangents;
 use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::{Error, Result};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -17,12 +18,11 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 /// The file is created only when it is complete.
 ///
 /// # Errors
-/// [`Error::Run`] if the arrays of the mesh have different lengths, it is empty or not finite, a texture has no texture coordinates, or the file would
-/// exceed 4 GiB; [`Error::Io`] if the file cannot be written.
+/// [`Error::Run`](lobelia_geometry::Error::Run) if the arrays of the mesh have different lengths, it is empty or not finite, a texture has no texture coordinates, or the file would
+/// exceed 4 GiB; [`Error::Io`](lobelia_geometry::Error::Io) if the file cannot be written.
 pub fn write_glb(path: &Path, mesh: &Mesh, material: Option<&GltfMaterial>) -> Result<()> {
-    let failed = |problem: &str| Error::run(format!("writing {}", path.display()), problem);
     if let Some(problem) = obstacle(mesh, material) {
-        return Err(failed(problem));
+        return Err(not_written(path, problem));
     }
     let mut binary = Binary::default();
     let has_map = material.is_some_and(|material| material.normal_image.is_some());
@@ -42,18 +42,13 @@ pub fn write_glb(path: &Path, mesh: &Mesh, material: Option<&GltfMaterial>) -> R
     root["bufferViews"] = Value::Array(binary.views);
     root["buffers"] = json!([{"byteLength": binary.bytes.len()}]);
     let container = container(&root.to_string(), &binary.bytes)
-        .ok_or_else(|| failed("a GLB cannot hold more than 4 GiB"))?;
-    crate::codec::file::write_bytes(path, &container)
+        .ok_or_else(|| not_written(path, "a GLB cannot hold more than 4 GiB"))?;
+    write_bytes(path, &container)
 }
 
 /// The reason why a mesh cannot be written with a material.
 fn obstacle(mesh: &Mesh, material: Option<&GltfMaterial>) -> Option<&'static str> {
     let count = mesh.positions.len();
-    let is_finite = |material: &GltfMaterial| {
-        let numbers = [material.roughness, material.specular, material.ior];
-        let colors = [material.base_color, material.specular_color];
-        numbers.iter().all(|x| x.is_finite()) && colors.iter().all(|color| color.is_finite())
-    };
     let is_textured = |material: &GltfMaterial| {
         let GltfMaterial { base_color_image, roughness_image, specular_image, normal_image, .. } = material;
         [base_color_image, roughness_image, specular_image, normal_image].into_iter().any(Option::is_some)
@@ -74,7 +69,7 @@ fn obstacle(mesh: &Mesh, material: Option<&GltfMaterial>) -> Option<&'static str
             "a position, normal or texture coordinate is not finite",
         ),
         (mesh.uvs.is_none() && material.is_some_and(is_textured), "a texture needs texture coordinates"),
-        (material.is_some_and(|material| !is_finite(material)), "a material parameter is not finite"),
+        (material.is_some_and(|material| !material.is_finite()), "a material parameter is not finite"),
     ];
     problems.into_iter().find(|(is, _)| *is).map(|(_, problem)| problem)
 }
@@ -138,11 +133,10 @@ fn primitive(binary: &mut Binary, mesh: &Mesh, with_tangents: bool) -> Value {
         attributes["TANGENT"] = json!(binary.add_floats(tangents.iter().map(|t| t.to_array()), false));
     }
     let indices = mesh.triangles.iter().flatten().flat_map(|i| i.to_le_bytes());
-    let view = binary.add_view(indices, Some(ELEMENT_ARRAY_BUFFER));
-    let count = 3 * mesh.triangles.len();
-    binary
-        .accessors
-        .push(json!({"bufferView": view, "componentType": UNSIGNED_INT, "count": count, "type": "SCALAR"}));
+    let (view, count) = (binary.add_view(indices, Some(ELEMENT_ARRAY_BUFFER)), 3 * mesh.triangles.len());
+    let indices =
+        json!({"bufferView": view, "componentType": UNSIGNED_INT, "count": count, "type": "SCALAR"});
+    binary.accessors.push(indices);
     json!({"attributes": attributes, "indices": binary.accessors.len() - 1, "mode": 4})
 }
 
@@ -219,6 +213,7 @@ mod tests {
     use glam::Vec3;
     use gltf_json::validation::Validate;
     use image::ExtendedColorType;
+    use lobelia_geometry::Error;
     use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
 
     #[test]

@@ -28,6 +28,7 @@ use lobelia_geometry::{Error, Result};
 use lobelia_sg::brdf::Facets;
 use lobelia_sg::reflectance::{ANGLES, cosine, gltf_reflectance, specular_reflectance, weight};
 use lobelia_world::material::SpecularLobe;
+use std::collections::BTreeSet;
 use std::path::Path;
 
 /// A material for [`crate::codec::gltf::export::write_glb`]: base color, roughness, and the colored reflectance of a dielectric; metallic is 0.
@@ -92,6 +93,12 @@ impl GltfMaterial {
         }
     }
 
+    /// Whether no number or color is NaN or infinite.
+    pub(super) fn is_finite(&self) -> bool {
+        let colors = self.base_color.is_finite() && self.specular_color.is_finite();
+        colors && [self.roughness, self.specular, self.ior].iter().all(|number| number.is_finite())
+    }
+
     /// F0, linear RGB in `[0, 1]`.
     pub fn f0(&self) -> Vec3 {
         let root = (self.ior - 1.0) / (self.ior + 1.0);
@@ -117,16 +124,14 @@ impl GltfMaterial {
 pub fn read_material(path: &Path) -> Result<GltfMaterial> {
     let file = GltfFile::open(path)?;
     let primitives = file.root.meshes.iter().flat_map(|mesh| &mesh.primitives);
-    let mut used: Vec<_> =
+    let used: BTreeSet<_> =
         primitives.map(|primitive| primitive.material.map(|index| index.value())).collect();
-    used.sort_unstable();
-    used.dedup();
-    let [Some(index)] = used[..] else {
+    let (1, Some(Some(index))) = (used.len(), used.first()) else {
         let problem = "not every part of the mesh has the same material";
         let help = "give the material in the scene file, or export the mesh with one material";
         return Err(Error::input(path, "", problem, help));
     };
-    let (place, index) = (format!("material {index}"), Index::new(index as u32));
+    let (place, index) = (format!("material {index}"), Index::new(*index as u32));
     let material = file.item(&file.root.materials, index, "material", "a primitive")?;
     if let Some(problem) = beyond_words(&file, material) {
         let help =
@@ -144,21 +149,17 @@ pub fn read_material(path: &Path) -> Result<GltfMaterial> {
     let [r, g, b, _] = pbr.base_color_factor.0;
     let default = GltfMaterial::default();
     let read = GltfMaterial {
-        name: material.name.clone().unwrap_or(default.name),
+        name: material.name.clone().unwrap_or_else(|| default.name.clone()),
         base_color: Vec3::new(r, g, b).clamp(Vec3::ZERO, Vec3::ONE),
         base_color_image: image.transpose()?,
         roughness: pbr.roughness_factor.0.clamp(0.0, 1.0),
-        roughness_image: None,
         specular: specular.map_or(default.specular, |s| s.specular_factor.0.clamp(0.0, 1.0)),
         specular_color: specular
             .map_or(default.specular_color, |s| Vec3::from(s.specular_color_factor.0).max(Vec3::ZERO)),
-        specular_image: None,
-        normal_image: None,
         ior: ior.map_or(default.ior, |ior| ior.ior.0.max(1.0)),
+        ..default
     };
-    let numbers = [read.roughness, read.specular, read.ior].iter().all(|x| x.is_finite());
-    let finite = read.base_color.is_finite() && read.specular_color.is_finite() && numbers;
-    if finite { Ok(read) } else { Err(file.error(place, "has a value that is not finite")) }
+    if read.is_finite() { Ok(read) } else { Err(file.error(place, "has a value that is not finite")) }
 }
 
 /// The property of the material that one lobe and one diffuse texture cannot represent.
@@ -167,11 +168,12 @@ fn beyond_words(file: &GltfFile, material: &Material) -> Option<&'static str> {
     let specular = material.extensions.as_ref().and_then(|e| e.specular.as_ref());
     let transformed = file.root.extensions_used.iter().any(|name| name == "KHR_texture_transform");
     let elsewhere = pbr.base_color_texture.as_ref().is_some_and(|t| t.tex_coord != 0 || transformed);
+    let is_textured =
+        specular.is_some_and(|s| s.specular_texture.is_some() || s.specular_color_texture.is_some());
     let problems = [
         (pbr.metallic_factor.0 != 0.0, "is metallic"),
         (pbr.metallic_roughness_texture.is_some(), "has a roughness texture"),
-        (specular.is_some_and(|s| s.specular_texture.is_some()), "has a reflectance texture"),
-        (specular.is_some_and(|s| s.specular_color_texture.is_some()), "has a reflectance texture"),
+        (is_textured, "has a reflectance texture"),
         (elsewhere, "has a texture that does not use the first texture coordinates unchanged"),
     ];
     problems.into_iter().find(|(is, _)| *is).map(|(_, problem)| problem)
@@ -200,10 +202,7 @@ impl LobeReflectance {
     pub fn of(lobe: &SpecularLobe) -> Self {
         let facets = Facets { ndf: lobe.ndf, roughness: f64::from(lobe.roughness) };
         let pairs: [_; ANGLES] = std::array::from_fn(|i| specular_reflectance(facets, cosine(i)));
-        Self {
-            constant: pairs.map(|(constant, _)| constant as f32),
-            slope: pairs.map(|(_, slope)| slope as f32),
-        }
+        Self { constant: pairs.map(|pair| pair.0 as f32), slope: pairs.map(|pair| pair.1 as f32) }
     }
 
     /// Adds the reflectance for the specular albedo `albedo`, times `share`, to `sum`.

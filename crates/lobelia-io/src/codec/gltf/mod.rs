@@ -26,33 +26,14 @@ struct GltfFile {
     buffers: Vec<Vec<u8>>,
 }
 
-/// The elements of an accessor, `stride` bytes apart.
-struct Elements<'a> {
-    bytes: &'a [u8],
-    stride: usize,
-    count: usize,
-    component: ComponentType,
-    components: usize,
-    is_normalized: bool,
-}
-
-impl<'a> Elements<'a> {
-    fn iter(&self) -> impl Iterator<Item = &'a [u8]> {
-        let (bytes, stride, size) = (self.bytes, self.stride, self.component.size() * self.components);
-        (0..self.count).map(move |i| &bytes[i * stride..][..size])
-    }
-}
-
 impl GltfFile {
     /// Reads `path` and every buffer that it names.
     fn open(path: &Path) -> Result<Self> {
         let (root, blob) = document(path)?;
         let mut file = Self { path: path.to_owned(), root, buffers: Vec::new() };
-        let is_harmless = |name: &str| {
-            ["KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization"]
-                .iter()
-                .any(|prefix| name.starts_with(prefix))
-        };
+        let harmless =
+            ["KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization"];
+        let is_harmless = |name: &String| harmless.iter().any(|prefix| name.starts_with(prefix));
         if let Some(name) = file.root.extensions_required.iter().find(|name| !is_harmless(name)) {
             let problem = format!("the file needs the extension {name}, which is not supported");
             let help = "export the mesh without compression and without required extensions";
@@ -145,31 +126,30 @@ impl GltfFile {
 
     /// The elements of accessor `index` as floats, `N` components each; integers are scaled if "normalized".
     fn floats<const N: usize>(&self, index: Index<json::Accessor>, place: &str) -> Result<Vec<[f32; N]>> {
-        let elements = self.elements(index, place)?;
-        let Elements { component, components, is_normalized, .. } = elements;
-        if components != N {
-            let problem = format!("has {components} components per element where {N} are needed");
-            return Err(self.error(format!("{place}, accessor {}", index.value()), problem));
-        }
+        let (component, elements) = self.elements(index, N, place)?;
+        let is_normalized = self.root.accessors[index.value()].normalized;
         let float =
             |bytes: &[u8], k: usize| float_at(&bytes[k * component.size()..], component, is_normalized);
-        Ok(elements.iter().map(|bytes| std::array::from_fn(|k| float(bytes, k))).collect())
+        Ok(elements.map(|bytes| std::array::from_fn(|k| float(bytes, k))).collect())
     }
 
     /// The elements of accessor `index` as vertex indices.
     fn indices(&self, index: Index<json::Accessor>, place: &str) -> Result<Vec<u32>> {
-        let elements = self.elements(index, place)?;
-        let component = elements.component;
-        let is_unsigned = matches!(component, ComponentType::U8 | ComponentType::U16 | ComponentType::U32);
-        if elements.components != 1 || !is_unsigned {
+        let (component, elements) = self.elements(index, 1, place)?;
+        if !matches!(component, ComponentType::U8 | ComponentType::U16 | ComponentType::U32) {
             let place = format!("{place}, accessor {}", index.value());
-            return Err(self.error(place, "vertex indices must be unsigned integer scalars"));
+            return Err(self.error(place, "vertex indices must be unsigned integers"));
         }
-        Ok(elements.iter().map(|bytes| unsigned_at(bytes, component)).collect())
+        Ok(elements.map(|bytes| unsigned_at(bytes, component)).collect())
     }
 
-    /// The elements of accessor `index`, all within its buffer view.
-    fn elements(&self, index: Index<json::Accessor>, place: &str) -> Result<Elements<'_>> {
+    /// The type of the components of accessor `index`, and the bytes of its elements of `wanted` components each, all within its buffer view.
+    fn elements(
+        &self,
+        index: Index<json::Accessor>,
+        wanted: usize,
+        place: &str,
+    ) -> Result<(ComponentType, impl Iterator<Item = &[u8]>)> {
         let accessor = self.item(&self.root.accessors, index, "accessor", place)?;
         let place = format!("{place}, accessor {}", index.value());
         let components = match accessor.type_ {
@@ -179,6 +159,10 @@ impl GltfFile {
             Checked::Valid(Type::Vec4) => 4,
             _ => return Err(self.error(place, "has a type that vertex data cannot have")),
         };
+        if components != wanted {
+            let problem = format!("has {components} components per element where {wanted} are needed");
+            return Err(self.error(place, problem));
+        }
         let Checked::Valid(component) = accessor.component_type else {
             return Err(self.error(place, "has an unknown component type"));
         };
@@ -199,8 +183,7 @@ impl GltfFile {
             let problem = format!("is out of range: needs {needed} bytes from {offset} of {}", view.len());
             self.error(place, problem)
         })?;
-        let (count, is_normalized) = (count as usize, accessor.normalized);
-        Ok(Elements { bytes, stride, count, component: component.0, components, is_normalized })
+        Ok((component.0, (0..count as usize).map(move |i| &bytes[i * stride..][..size])))
     }
 }
 
@@ -248,9 +231,7 @@ fn document(path: &Path) -> Result<(Root, Option<Vec<u8>>)> {
 }
 
 fn checked_slice(bytes: &[u8], start: u64, length: u64) -> Option<&[u8]> {
-    let start = usize::try_from(start).ok()?;
-    let end = start.checked_add(usize::try_from(length).ok()?)?;
-    bytes.get(start..end)
+    bytes.get(usize::try_from(start).ok()?..)?.get(..usize::try_from(length).ok()?)
 }
 
 fn percent_decoded(uri: &str) -> Option<String> {

@@ -38,8 +38,7 @@ const FOREIGN_EXTENSIONS: [&str; 16] = [
 
 /// True for a file that is named as an image of a format that is not read.
 pub fn is_unread_name(path: &Path) -> bool {
-    let is_one = |name: &str| RAW_EXTENSIONS.contains(&name) || FOREIGN_EXTENSIONS.contains(&name);
-    extension(path).is_some_and(|name| is_one(&name))
+    has_extension(path, &RAW_EXTENSIONS) || has_extension(path, &FOREIGN_EXTENSIONS)
 }
 
 /// First bytes of cameras' RAW files that are no TIFF, and of those that say so within TIFF.
@@ -106,8 +105,9 @@ fn starts(bytes: &[u8], at: usize, with: &[u8]) -> bool {
     bytes.get(at..).is_some_and(|rest| rest.starts_with(with))
 }
 
-fn extension(path: &Path) -> Option<String> {
-    Some(path.extension()?.to_str()?.to_ascii_lowercase())
+/// Whether a path has one of these extensions, in any case.
+pub(crate) fn has_extension(path: &Path, known: &[&str]) -> bool {
+    path.extension().is_some_and(|own| known.iter().any(|known| own.eq_ignore_ascii_case(known)))
 }
 
 impl Format {
@@ -130,8 +130,8 @@ impl Format {
 /// [`Error::Input`] with what to do if the file is in another format, or a camera's RAW file.
 pub(super) fn recognize(path: &Path, start: &[u8]) -> Result<Format> {
     let format = STARTS.iter().find(|(at, magic, _)| starts(start, *at, magic)).map(|&(.., format)| format);
-    let is_named_raw = extension(path).is_some_and(|name| RAW_EXTENSIONS.contains(&name.as_str()));
-    if is_raw(start) || (is_named_raw && matches!(format, None | Some(Format::Tiff))) {
+    let may_be_raw = matches!(format, None | Some(Format::Tiff)) && has_extension(path, &RAW_EXTENSIONS);
+    if is_raw(start) || may_be_raw {
         return Err(raw(path));
     }
     format.ok_or_else(|| match FOREIGN.iter().find(|(at, magic, ..)| starts(start, *at, magic)) {

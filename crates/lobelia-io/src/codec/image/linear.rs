@@ -77,10 +77,7 @@ pub struct LoadedImage {
 /// `gamma`.
 pub fn read_image(path: impl AsRef<Path>, gamma: Gamma, orientation: Orientation) -> Result<LoadedImage> {
     gamma.check()?;
-    let path = path.as_ref();
-    let mut decoded = decode_samples(path, orientation)?;
-    let repairs = decoded.repair();
-    repairs.check(path, &decoded)?;
+    let (decoded, repairs) = repaired(path.as_ref(), orientation)?;
     Ok(linear_image(&decoded, repairs, gamma))
 }
 
@@ -90,9 +87,7 @@ pub fn read_image(path: impl AsRef<Path>, gamma: Gamma, orientation: Orientation
 /// As for [`read_image`] for its file; also if most pixels that are not black are negative.
 pub fn decode_photograph(path: impl AsRef<Path>, orientation: Orientation) -> Result<(Decoded, Repairs)> {
     let path = path.as_ref();
-    let mut decoded = decode_samples(path, orientation)?;
-    let repairs = decoded.repair();
-    repairs.check(path, &decoded)?;
+    let (mut decoded, repairs) = repaired(path, orientation)?;
     let Repairs { negative, lit, .. } = repairs;
     if 2 * negative > lit {
         let problem = format!("{negative} of {lit} pixels that are not black are negative");
@@ -177,49 +172,38 @@ pub struct Repairs {
     pub pixels: Vec<u32>,
 }
 
-impl Decoded {
-    /// Sets pixels of a float image to 0 that are NaN, infinite or absurdly bright, and clamps alpha to `[0, 1]`. A pixel whose
-    /// color is not finite is still covered. Integers have nothing to repair.
-    fn repair(&mut self) -> Repairs {
-        let channels = self.channels();
-        let colors = if channels < 3 { 1 } else { 3 };
-        let mut repairs = Repairs::default();
-        let ImageSamples::Floats(samples) = &mut self.samples else { return repairs };
-        for (i, pixel) in samples.chunks_exact_mut(channels).enumerate() {
-            let (color, alpha) = pixel.split_at_mut(colors);
-            repairs.lit += usize::from(color.iter().any(|&c| c != 0.0));
-            let is_finite = color.iter().chain(&*alpha).all(|sample| sample.is_finite());
-            let is_bright = color.iter().any(|c| c.abs() > BRIGHTEST);
-            if !is_finite || is_bright {
-                *(if is_finite { &mut repairs.too_bright } else { &mut repairs.not_finite }) += 1;
-                repairs.pixels.push(i as u32);
-                color.fill(0.0);
-            }
-            repairs.negative += usize::from(color.iter().any(|&c| c < 0.0));
-            for a in alpha {
-                *a = if a.is_finite() { a.clamp(0.0, 1.0) } else { 0.0 };
-            }
+/// Reads the samples of an image, and sets pixels of floats to 0 that are NaN, infinite or absurdly bright; clamps alpha to `[0, 1]`. A pixel
+/// whose color is not finite is still covered. Integers have nothing to repair.
+fn repaired(path: &Path, orientation: Orientation) -> Result<(Decoded, Repairs)> {
+    let mut decoded = decode_samples(path, orientation)?;
+    let (channels, mut repairs) = (decoded.header.channels, Repairs::default());
+    let ImageSamples::Floats(samples) = &mut decoded.samples else { return Ok((decoded, repairs)) };
+    for (i, pixel) in samples.chunks_exact_mut(channels).enumerate() {
+        let (color, alpha) = pixel.split_at_mut(if channels < 3 { 1 } else { 3 });
+        repairs.lit += usize::from(color.iter().any(|&c| c != 0.0));
+        let is_finite = color.iter().chain(&*alpha).all(|sample| sample.is_finite());
+        let is_bright = color.iter().any(|c| c.abs() > BRIGHTEST);
+        if !is_finite || is_bright {
+            *(if is_finite { &mut repairs.too_bright } else { &mut repairs.not_finite }) += 1;
+            repairs.pixels.push(i as u32);
+            color.fill(0.0);
         }
-        repairs
+        repairs.negative += usize::from(color.iter().any(|&c| c < 0.0));
+        for a in alpha {
+            *a = if a.is_finite() { a.clamp(0.0, 1.0) } else { 0.0 };
+        }
     }
-}
-
-impl Repairs {
-    /// Checks that anything is left of an image.
-    fn check(&self, path: &Path, decoded: &Decoded) -> Result<()> {
-        let pixels = decoded.width as usize * decoded.height as usize;
-        if self.not_finite == pixels {
-            let problem = "every pixel is NaN or infinite";
-            return Err(Error::input(path, "", problem, "Render or convert the image again."));
-        }
-        if self.too_bright as f64 > MOST_TOO_BRIGHT * pixels as f64 {
-            let problem =
-                format!("{} of {pixels} pixels are absurdly bright (above {BRIGHTEST})", self.too_bright);
-            let help = "Divide the values so that white is about 1, in all images by the same number, or replace this one.";
-            return Err(Error::input(path, "", problem, help));
-        }
-        Ok(())
+    let (pixels, too_bright) = (samples.len() / channels, repairs.too_bright);
+    if repairs.not_finite == pixels {
+        let problem = "every pixel is NaN or infinite";
+        return Err(Error::input(path, "", problem, "Render or convert the image again."));
     }
+    if too_bright as f64 > MOST_TOO_BRIGHT * pixels as f64 {
+        let problem = format!("{too_bright} of {pixels} pixels are absurdly bright (above {BRIGHTEST})");
+        let help = "Divide the values so that white is about 1, in all images by the same number, or replace this one.";
+        return Err(Error::input(path, "", problem, help));
+    }
+    Ok((decoded, repairs))
 }
 
 /// A mask as read from its file.
@@ -248,7 +232,7 @@ const MOST_LABELS: usize = 16;
 pub fn read_mask(path: impl AsRef<Path>, orientation: Orientation) -> Result<LoadedMask> {
     let path = path.as_ref();
     let decoded = decode_samples(path, orientation)?;
-    let (width, height, channels) = (decoded.width, decoded.height, decoded.channels());
+    let (width, height, channels) = (decoded.width, decoded.height, decoded.header.channels);
     // Compression changes the values of a JPEG a little: they say neither labels nor that one value is full.
     let is_exact = decoded.header.format != Format::Jpeg;
     let coverage = match &decoded.samples {

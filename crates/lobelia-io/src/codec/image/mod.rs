@@ -11,12 +11,16 @@ mod format;
 mod linear;
 mod tiff_file;
 
-pub use format::{Format, IMAGE_EXTENSIONS, ImageHeader, ImageSamples, Orientation};
-pub use format::{is_unread_name, is_video_start};
-pub use linear::{BRIGHTEST, Gamma, LoadedImage, LoadedMask, Repairs};
-pub use linear::{decode_photograph, linear_image, read_image, read_mask};
+pub(crate) use format::has_extension;
+pub use format::{
+    Format, IMAGE_EXTENSIONS, ImageHeader, ImageSamples, Orientation, is_unread_name, is_video_start,
+};
+pub use linear::{
+    BRIGHTEST, Gamma, LoadedImage, LoadedMask, Repairs, decode_photograph, linear_image, read_image,
+    read_mask,
+};
 
-use crate::codec::exr::{ExrHeader, decode_exr_picture, exr_header};
+use crate::codec::exr::{decode_exr_picture, exr_header};
 use crate::codec::file::{DiskFile, first_bytes, open};
 use crate::codec::nearby::missing_file_help;
 use format::{check_size, damaged, recognize};
@@ -86,30 +90,25 @@ pub struct Decoded {
 }
 
 impl Decoded {
-    /// Samples per pixel: 1 (gray), 2 (gray and alpha), 3 (RGB) or 4 (RGB and alpha).
-    pub fn channels(&self) -> usize {
-        self.header.channels
-    }
-
     /// Turned as EXIF asks.
     fn upright(self) -> Self {
-        let (size, channels, exif) = ([self.width, self.height], self.channels(), self.header.exif);
         let samples = match self.samples {
-            ImageSamples::Bytes8(samples) => ImageSamples::Bytes8(turned(samples, size, channels, exif)),
-            ImageSamples::Words16(samples) => ImageSamples::Words16(turned(samples, size, channels, exif)),
-            ImageSamples::Floats(samples) => ImageSamples::Floats(turned(samples, size, channels, exif)),
+            ImageSamples::Bytes8(samples) => ImageSamples::Bytes8(turned(samples, &self.header)),
+            ImageSamples::Words16(samples) => ImageSamples::Words16(turned(samples, &self.header)),
+            ImageSamples::Floats(samples) => ImageSamples::Floats(turned(samples, &self.header)),
         };
-        let [width, height] = if self.header.is_turned() { [size[1], size[0]] } else { size };
+        let [width, height] = self.header.size(Orientation::Upright);
         Self { header: self.header, width, height, samples }
     }
 }
 
-/// Samples of an image of `width` × `height` pixels with `channels` samples each, turned by an EXIF orientation (1 to 8).
-fn turned<T: Copy>(samples: Vec<T>, [width, height]: [u32; 2], channels: usize, exif: u8) -> Vec<T> {
+/// The samples of an image with this header, turned by its EXIF orientation.
+fn turned<T: Copy>(samples: Vec<T>, header: &ImageHeader) -> Vec<T> {
+    let ImageHeader { exif, channels, .. } = *header;
     if !(2..=8).contains(&exif) {
         return samples;
     }
-    let (w, h) = (width as usize, height as usize);
+    let (w, h) = (header.width as usize, header.height as usize);
     let (columns, rows) = if exif >= 5 { (h, w) } else { (w, h) };
     let mut out = Vec::with_capacity(samples.len());
     for v in 0..rows {
@@ -147,10 +146,7 @@ fn read_header(path: &Path, file: &mut BufReader<DiskFile>) -> Result<ImageHeade
             read(usual).or_else(|_| read(most))?
         }
         Format::Tiff => tiff_file::header(path, file)?,
-        Format::Exr => {
-            let ExrHeader { width, height, channels, bits } = exr_header(path, file)?;
-            ImageHeader { format, width, height, channels, bits, is_float: true, exif: 1 }
-        }
+        Format::Exr => exr_header(path, file)?,
         Format::Png | Format::Webp | Format::Hdr => header_of(format, decoder(path, format, file)?),
     };
     check_size(path, &header, file_bytes)?;
@@ -231,7 +227,7 @@ pub fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -> Resul
     file.rewind().map_err(Error::io("read", path))?;
     let samples = match header.format {
         Format::Tiff => tiff_file::decode(path, file, &header)?,
-        Format::Exr => ImageSamples::Floats(decode_exr_picture(path, file)?.1),
+        Format::Exr => ImageSamples::Floats(decode_exr_picture(path, file)?),
         Format::Jpeg => {
             let bytes = Cursor::new(whole_jpeg(path, file)?);
             samples_of(path, &header, decoder(path, header.format, bytes)?)?
@@ -249,14 +245,13 @@ pub fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -> Resul
 fn samples_of(path: &Path, header: &ImageHeader, decoder: impl ImageDecoder) -> Result<ImageSamples> {
     let wrong = |why: &str| damaged(path, header.format, why);
     let samples = match DynamicImage::from_decoder(decoder).map_err(|error| wrong(&error.to_string()))? {
-        DynamicImage::ImageLuma8(image) => ImageSamples::Bytes8(image.into_raw()),
-        DynamicImage::ImageLumaA8(image) => ImageSamples::Bytes8(image.into_raw()),
-        DynamicImage::ImageRgb8(image) => ImageSamples::Bytes8(image.into_raw()),
-        DynamicImage::ImageRgba8(image) => ImageSamples::Bytes8(image.into_raw()),
         DynamicImage::ImageLuma16(image) => ImageSamples::Words16(image.into_raw()),
         DynamicImage::ImageLumaA16(image) => ImageSamples::Words16(image.into_raw()),
         DynamicImage::ImageRgb16(image) => ImageSamples::Words16(image.into_raw()),
         DynamicImage::ImageRgb32F(image) => ImageSamples::Floats(image.into_raw()),
+        image if image.color().bytes_per_pixel() == image.color().channel_count() => {
+            ImageSamples::Bytes8(image.into_bytes())
+        }
         other => ImageSamples::Words16(other.into_rgba16().into_raw()),
     };
     if samples.count() as u64 != u64::from(header.width) * u64::from(header.height) * header.channels as u64 {
