@@ -262,19 +262,20 @@ fn full_names(headers: &[Header]) -> BTreeMap<String, Place> {
 }
 
 fn unusable(path: &Path, problem: impl Into<String>) -> Error {
-    let help = "Write the file again as flat scan lines or tiles at full resolution.";
+    let help = "Write the file again as flat scan lines or tiles at full resolution, with ZIP, PIZ or no compression.";
     Error::input(path, "", problem, help)
 }
 
 fn exr_error(path: &Path, error: &exr::error::Error) -> Error {
-    let (problem, help) = match error {
-        exr::error::Error::NotSupported(what) => (
-            format!("this kind of EXR cannot be read: {what}"),
-            "Write it again with ZIP, PIZ or no compression, without deep data.",
-        ),
-        other => (format!("the EXR is damaged or truncated: {other}"), "Copy or render the file again."),
-    };
-    Error::input(path, "", problem, help)
+    match error {
+        exr::error::Error::NotSupported(what) => {
+            unusable(path, format!("this kind of EXR cannot be read: {what}"))
+        }
+        other => {
+            let problem = format!("the EXR is damaged or truncated: {other}");
+            Error::input(path, "", problem, "Copy or render the file again.")
+        }
+    }
 }
 
 #[cfg(test)]

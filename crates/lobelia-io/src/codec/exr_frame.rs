@@ -150,8 +150,24 @@ impl FrameRows<'_> {
 
     /// Writes the next rows: `size` is their width and number.
     fn push_columns(&mut self, size: [usize; 2], columns: &[Column]) -> Result<()> {
-        self.check(size, columns)?;
-        let ([width, height], first_block) = (size, self.next_row / BLOCK_ROWS);
+        let ([width, height], start, first_block) = (size, self.next_row, self.next_row / BLOCK_ROWS);
+        for Column { name, count, at } in columns {
+            check_finite(self.path, (0..*count).map(at), |at| {
+                let (x, y) = (at % width.max(1), start + at / width.max(1));
+                format!("channel {name} is not finite at pixel ({x}, {y})")
+            })?;
+            if *count != width * height {
+                let problem = format!("channel {name} has {count} values, not {}", width * height);
+                return Err(not_written(self.path, problem));
+            }
+        }
+        let ([whole_width, whole_height], end) = (self.size, start + height);
+        if width != whole_width || height == 0 || end > whole_height {
+            let problem = format!(
+                "rows {start} to {end} of {width} pixels do not fit a picture of {whole_width}×{whole_height}"
+            );
+            return Err(not_written(self.path, problem));
+        }
         self.next_row += height;
         let row_bytes = 4 * width * columns.len();
         let mut bytes = std::mem::take(&mut self.waiting);
@@ -172,28 +188,6 @@ impl FrameRows<'_> {
         let chunks: Vec<Result<Chunk>> = bytes.par_chunks(block_bytes).enumerate().map(chunk).collect();
         for (block, chunk) in (first_block..).zip(chunks) {
             (self.put)(block, chunk?).map_err(|error| failed(self.path, error))?;
-        }
-        Ok(())
-    }
-
-    fn check(&self, [width, height]: [usize; 2], columns: &[Column]) -> Result<()> {
-        let ([whole_width, whole_height], start) = (self.size, self.next_row);
-        for column in columns {
-            check_finite(self.path, (0..column.count).map(&column.at), |at| {
-                let (x, y) = (at % width.max(1), start + at / width.max(1));
-                format!("channel {} is not finite at pixel ({x}, {y})", column.name)
-            })?;
-        }
-        let count = width * height;
-        if let Some(Column { name, count: found, .. }) = columns.iter().find(|column| column.count != count) {
-            return Err(not_written(self.path, format!("channel {name} has {found} values, not {count}")));
-        }
-        let end = start + height;
-        if width != whole_width || height == 0 || end > whole_height {
-            let picture = format!("{whole_width}×{whole_height}");
-            let problem =
-                format!("rows {start} to {end} of {width} pixels do not fit a picture of {picture}");
-            return Err(not_written(self.path, problem));
         }
         Ok(())
     }
@@ -290,11 +284,11 @@ pub fn read_frame_layers(path: impl AsRef<Path>, layers: &[Layer]) -> Result<Fra
 mod tests {
     use super::*;
     use crate::codec::exr::read_exr_layers;
+    use crate::codec::test_data::temporary;
 
     #[test]
     fn rows_that_cannot_be_compressed_are_kept_as_they_are() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("noise.exr");
+        let (_folder, path) = temporary("noise.exr");
         let noise = |i: u32| {
             let mixed = (i.wrapping_mul(0x9e37_79b9) ^ i << 7).wrapping_mul(0x85eb_ca6b);
             f32::from_bits((mixed ^ mixed >> 13).wrapping_mul(0xc2b2_ae35) & 0xbfff_ffff)
@@ -328,8 +322,7 @@ mod tests {
 
     #[test]
     fn frames_round_trip_bit_for_bit() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("view.exr");
+        let (_folder, path) = temporary("view.exr");
         let written = frame(19, 35);
         write_frame(&path, &written).unwrap();
         assert_eq!(read_frame(&path).unwrap(), written);
@@ -352,8 +345,7 @@ mod tests {
 
     #[test]
     fn bands_of_any_height_give_the_bytes_of_the_whole() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("view.exr");
+        let (_folder, path) = temporary("view.exr");
         for height in [1, 15, 16, 37, 48] {
             let whole = frame(11, height);
             write_frame(&path, &whole).unwrap();
@@ -367,8 +359,7 @@ mod tests {
 
     #[test]
     fn bad_rows_and_frames_are_refused_and_leave_no_file() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("view.exr");
+        let (folder, path) = temporary("view.exr");
         let refused = |bands: &[&Frame], words: &str| {
             let pushed = write_frame_rows(&path, [5, 20], |file| bands.iter().try_for_each(|b| file.push(b)));
             let message = pushed.unwrap_err().to_string();
@@ -392,8 +383,7 @@ mod tests {
 
     #[test]
     fn a_missing_layer_is_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("plain.exr");
+        let (_folder, path) = temporary("plain.exr");
         let mut channels = ExrLayers { width: 2, height: 1, ..ExrLayers::default() };
         channels.insert_triple(COLOR, &[Vec3::X, Vec3::Y]);
         write_channels(&path, &channels).unwrap();

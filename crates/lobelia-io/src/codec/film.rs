@@ -62,7 +62,7 @@ fn write_mp4(program: &OsStr, path: &Path, frames: &[PathBuf], fps: u32) -> Resu
         Err(error) => return Err(failed(format!("it cannot be started: {error}"))),
     };
     // The program ends when it gets no more frames. One that has ended before takes none, and has said why.
-    let fed = child.stdin.take().map_or(Ok(true), |input| feed(input, frames, size));
+    let fed = child.stdin.take().map_or(Ok(true), |input| feed(input, frames));
     let status = child.wait().map_err(|error| failed(error.to_string()))?;
     check_interrupted()?;
     if !(fed? && status.success()) {
@@ -80,14 +80,10 @@ fn write_mp4(program: &OsStr, path: &Path, frames: &[PathBuf], fps: u32) -> Resu
 }
 
 /// Gives the frames to a program; `false` if it ends before it has them all.
-fn feed(mut input: ChildStdin, frames: &[PathBuf], size: (u32, u32)) -> Result<bool> {
+fn feed(mut input: ChildStdin, frames: &[PathBuf]) -> Result<bool> {
     for path in frames {
         check_interrupted()?;
-        let frame = even(&png_file::read_rgb8(path)?);
-        if frame.dimensions() != size {
-            return Err(Error::run("making a film", format!("{} has another size", path.display())));
-        }
-        if input.write_all(frame.as_raw()).is_err() {
+        if input.write_all(even(&png_file::read_rgb8(path)?).as_raw()).is_err() {
             return Ok(false);
         }
     }

@@ -268,7 +268,7 @@ fn damaged(path: &Path, place: &str, error: &ZipError) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::test_data::{npy, npy_matrix, write_npz};
+    use crate::codec::test_data::{npy, npy_matrix, temporary, write_npz};
     use lobelia_sg::fibonacci::fibonacci_axes;
     use zip::CompressionMethod;
 
@@ -286,8 +286,7 @@ mod tests {
     }
 
     fn read(bytes: &[u8], convention: NpyConvention) -> Result<Vec<LightLobe>> {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("lobes.npy");
+        let (_folder, path) = temporary("lobes.npy");
         std::fs::write(&path, bytes).unwrap();
         read_lobes(path, convention)
     }
@@ -300,8 +299,7 @@ mod tests {
 
     #[test]
     fn both_conventions_come_back_bit_for_bit_and_nothing_else_is_written() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("lobes.npy");
+        let (_folder, path) = temporary("lobes.npy");
         let mut broken = lobes();
         broken[3].amplitude.y = f32::NAN;
         for convention in [NpyConvention::Lobelia, NpyConvention::PhySgFit] {
@@ -424,8 +422,7 @@ mod tests {
 
     #[test]
     fn stored_and_deflated_matrices_are_read() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.npz");
+        let (_folder, path) = temporary("a.npz");
         let values = [1.5, -2.0, 3.0, 4.0, 0.0, 1e300];
         for method in [CompressionMethod::Stored, CompressionMethod::Deflated] {
             let matrices = [("a", npy_matrix(2, 3, &values)), ("b", npy_matrix(3, 2, &values))];
@@ -441,8 +438,7 @@ mod tests {
 
     #[test]
     fn truncated_archives_are_errors_and_damage_is_not_taken() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.npz");
+        let (_folder, path) = temporary("a.npz");
         write_npz(&path, CompressionMethod::Deflated, &[("a", npy_matrix(4, 4, &[0.5; 16]))]);
         let whole = std::fs::read(&path).unwrap();
         for at in (1..whole.len()).step_by(7) {
@@ -460,8 +456,7 @@ mod tests {
 
     #[test]
     fn bombs_and_other_arrays_are_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.npz");
+        let (_folder, path) = temporary("a.npz");
         let arrays = [("large", npy_matrix(1000, 1000, &[0.0; 1_000_000])), ("hello", b"hello".to_vec())];
         write_npz(&path, CompressionMethod::Deflated, &arrays);
         assert!(std::fs::metadata(&path).unwrap().len() < 20_000);

@@ -123,12 +123,12 @@ pub(crate) fn read_rgb8(path: &Path) -> Result<RgbImage> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::test_data::temporary;
     use image::{Luma, Rgb};
 
     #[test]
     fn pictures_round_trip() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.png");
+        let (_folder, path) = temporary("a.png");
         let rgb = RgbImage::from_fn(7, 5, |x, y| Rgb([x as u8 * 30, y as u8 * 40, 200]));
         write_rgb8(&path, &rgb).unwrap();
         assert_eq!(image::open(&path).unwrap().into_rgb8(), rgb);
@@ -156,8 +156,7 @@ mod tests {
 
     #[test]
     fn missing_and_surplus_rows_are_refused_and_leave_no_file() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.png");
+        let (folder, path) = temporary("a.png");
         for rows in [0, 3, 5] {
             let pushed = write_rows(&path, [2, 4], ColorType::Rgb, |file| {
                 (0..rows).try_for_each(|_| file.push(&[7; 6]))

@@ -5,7 +5,15 @@ use exr::prelude::{
 };
 use glam::Vec3;
 use std::io::{Cursor, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+/// The path of a file in a new folder, which is gone when the first value is dropped.
+pub(crate) fn temporary(name: &str) -> (TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    (folder, path)
+}
 
 /// An EXR file.
 pub(crate) fn exr_of(width: usize, height: usize, channels: Vec<(&str, FlatSamples)>) -> Vec<u8> {

@@ -2,7 +2,8 @@
 //!
 //! The material is a `UsdPreviewSurface` in its specular workflow: F0 is given, F90 is one, and the lobe is GGX with α = roughness².
 
-use crate::codec::file::{check_finite, not_written, write_bytes};
+use crate::codec::file::{not_written, write_bytes};
+use crate::codec::gltf::export::check_mesh;
 use glam::{Vec2, Vec3};
 use lobelia_geometry::Result;
 use lobelia_geometry::mesh::triangles::Mesh;
@@ -123,7 +124,6 @@ fn stage(
     let (Some(uvs), Some(bounds)) = (&mesh.uvs, mesh.bounds()) else {
         return Err(not_written(path, "the mesh has no texture coordinates or no triangles"));
     };
-    let vectors = mesh.positions.iter().chain(&mesh.normals).flat_map(Vec3::to_array);
     let mut of_material = Vec::new();
     if let UsdInput::Value(specular) = material.specular {
         of_material.extend(specular.to_array());
@@ -131,9 +131,7 @@ fn stage(
     if let UsdInput::Value(roughness) = material.roughness {
         of_material.push(roughness);
     }
-    let values = vectors.chain(uvs.iter().flat_map(Vec2::to_array)).chain(of_material);
-    let what = |_| "a position, normal, texture coordinate or value of the material is not finite".to_owned();
-    check_finite(path, values, what)?;
+    check_mesh(path, mesh, of_material.into_iter())?;
     let version = env!("CARGO_PKG_VERSION");
     let mut text = format!(
         "#usda 1.0\n(\n    defaultPrim = \"Object\"\n    doc = \"lobelia {version}\"\n    metersPerUnit = 1\n    \
@@ -220,6 +218,7 @@ fn dome(light: UsdLight) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::test_data::temporary;
     use lobelia_geometry::mesh::primitive::box_mesh;
     use std::io::Read as _;
 
@@ -279,8 +278,7 @@ mod tests {
 
     #[test]
     fn the_parts_of_a_package_are_stored_and_aligned() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mesh.usdz");
+        let (_folder, path) = temporary("mesh.usdz");
         let mesh = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
         write_usdz(&path, &mesh, &textured(), UpAxis::Y).unwrap();
         let bytes = std::fs::read(&path).unwrap();

@@ -12,7 +12,7 @@
 //! Names in the lists are those of the model, with or without extension. A list of test views gives the test split, and the training
 //! split is that of the other list, or all other views.
 
-use crate::codec::file::{is_there, open, read_bytes};
+use crate::codec::file::{is_there, read_bytes};
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::files::{
     Folders, PHOTOGRAPH_FOLDERS, SplitList, check_image_name, entries, file_name, flat_name, image_files,
@@ -25,7 +25,6 @@ use glam::{Affine3A, DMat3, DQuat, DVec3};
 use lobelia_geometry::error::{Error, Result};
 use lobelia_geometry::view::Split;
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -126,22 +125,18 @@ pub(super) fn is_for_the_record(dir: &Path) -> bool {
     })
 }
 
-/// The model with the most images, the first of equals, and a note about the others.
-fn largest(models: &[PathBuf]) -> Result<(&PathBuf, Option<String>)> {
-    if let [only] = models {
-        return Ok((only, None));
-    }
-    let counts = models.iter().map(|file| image_count(file)).collect::<Result<Vec<_>>>()?;
-    let most = counts.iter().copied().max().unwrap_or(0);
-    let chosen = &models[counts.iter().position(|&count| count == most).unwrap_or(0)];
-    let list: Vec<String> = counts.iter().map(u64::to_string).collect();
+/// The file of the model with the most images, the first of equals, its images, and a note about the others.
+fn largest(models: &[PathBuf]) -> Result<(&Path, Vec<ModelImage>, Option<String>)> {
+    let mut read = models.iter().map(|file| images_of(file)).collect::<Result<Vec<_>>>()?;
+    let chosen = (0..read.len()).rev().max_by_key(|i| read[*i].len()).unwrap_or(0);
+    let list: Vec<String> = read.iter().map(|images| images.len().to_string()).collect();
     let note = format!(
         "the reconstruction has {} models of {} images; only the largest, {}, is read",
         models.len(),
         list.join(", "),
-        chosen.parent().unwrap_or(Path::new("")).display()
+        models[chosen].parent().unwrap_or(Path::new("")).display()
     );
-    Ok((chosen, Some(note)))
+    Ok((&models[chosen], read.swap_remove(chosen), (models.len() > 1).then_some(note)))
 }
 
 /// The model with the most photographs of those in the folders `0`, `1`, … of a folder.
@@ -163,8 +158,8 @@ pub fn largest_model(folder: &Path) -> Result<Option<LargestModel>> {
     if models.is_empty() {
         return Ok(None);
     }
-    let (file, note) = largest(&models)?;
-    let names = images_of(file)?.into_iter().map(|image| image.name).collect();
+    let (file, images, note) = largest(&models)?;
+    let names = images.into_iter().map(|image| image.name).collect();
     Ok(Some(LargestModel { folder: file.parent().unwrap_or(folder).to_owned(), names, note }))
 }
 
@@ -174,8 +169,8 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
         let help = missing_file_help(&dir.join("sparse/0/cameras.bin"));
         return Err(Error::input(dir, "", "there is no COLMAP model", help));
     };
-    let (file, of_models) = largest(&models)?;
-    let (cameras, mut images) = (cameras_of(file)?, images_of(file)?);
+    let (file, mut images, of_models) = largest(&models)?;
+    let cameras = cameras_of(file)?;
     if images.is_empty() {
         let problem = "the model has no images, so that there are no views";
         let help = "Give a model in which photographs are registered; COLMAP may have written several.";
@@ -198,7 +193,7 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
         check_image_name(&name, file, &place)?;
         if !is_wanted {
             // Found, so that it is not taken for one without a camera.
-            photographs.find(&name)?;
+            photographs.find(&name);
             continue;
         }
         let (found, photograph) = photographs.photograph(&name)?;
@@ -208,7 +203,7 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
         };
         views.push(ViewPlan {
             name: flat_name(&found),
-            camera_file: file.clone(),
+            camera_file: file.to_owned(),
             place,
             image: Some(photograph),
             mask: masks.as_mut().map(|masks| masks.mask(&found)).transpose()?,
@@ -270,17 +265,6 @@ struct ModelImage {
 
 fn is_text(file: &Path) -> bool {
     file.extension().is_some_and(|kind| kind == "txt")
-}
-
-/// The number of photographs that the file `image_file` announces.
-fn image_count(image_file: &Path) -> Result<u64> {
-    if is_text(image_file) {
-        return images_of_text(image_file).map(|images| images.len() as u64);
-    }
-    let mut count = [0; 8];
-    let mut file = open(image_file, missing_file_help)?;
-    file.read_exact(&mut count).map_err(|_| cut_short(image_file, 0))?;
-    Ok(u64::from_le_bytes(count))
 }
 
 /// The photographs of the model of which this is the `images` file.
@@ -401,10 +385,8 @@ impl<'a> Bytes<'a> {
     }
 
     fn skip(&mut self, count: u64) -> Result<&[u8]> {
-        let start = self.at;
-        let end = usize::try_from(count).ok().and_then(|count| start.checked_add(count));
-        let skipped = end.and_then(|end| self.bytes.get(start..end));
-        let skipped = skipped.ok_or_else(|| cut_short(self.file, start))?;
+        let skipped = usize::try_from(count).ok().and_then(|count| self.bytes[self.at..].get(..count));
+        let skipped = skipped.ok_or_else(|| cut_short(self.file, self.at))?;
         self.at += skipped.len();
         Ok(skipped)
     }

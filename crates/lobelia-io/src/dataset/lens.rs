@@ -150,16 +150,6 @@ impl Lens {
         }
     }
 
-    /// The field of view in degrees that is left by undistortion, if it leaves out what the photograph shows.
-    fn cropped_field(&self) -> Option<[f64; 2]> {
-        if self.distortion == Distortion::NONE {
-            return None;
-        }
-        let bent = self.camera(self.size?, Affine3A::IDENTITY, 0.5).ok()?;
-        let way = Straightening::new(self.distortion, &bent).ok()?;
-        way.is_cropped.then(|| way.field_degrees())
-    }
-
     /// The camera for an image of `size` pixels. `Err` says what is wrong, as a clause.
     pub fn camera(
         &self,
@@ -214,25 +204,6 @@ fn focal_pixels(focal: Focal, extent: u32, size: [u32; 2]) -> Result<f64, String
     }
     Err(format!(
         "a focal length is {pixels:e} pixels; for an image of {width}×{height} it must lie between {least} and {most}"
-    ))
-}
-
-/// A note on photographs whose edges undistortion leaves out. Lenses without a stated size are not looked at.
-pub(super) fn crop_note<'a>(lenses: impl Iterator<Item = &'a Lens>) -> Option<String> {
-    let mut fields: Vec<[f64; 2]> = Vec::new();
-    let mut last: Option<(&Lens, Option<[f64; 2]>)> = None;
-    for lens in lenses {
-        let field = match last {
-            Some((same, field)) if same == lens => field,
-            _ => lens.cropped_field(),
-        };
-        fields.extend(field);
-        last = Some((lens, field));
-    }
-    let [width, height] = *fields.first()?;
-    Some(format!(
-        "{} photographs show more than a pinhole camera can; undistorted they are cropped to {width:.0}° × {height:.0}°",
-        fields.len()
     ))
 }
 
@@ -693,17 +664,11 @@ mod tests {
         for (degrees, is_cropped) in [(90.0f32, false), (150.0, true), (180.0, true), (220.0, true)] {
             let focal = [120.0 / degrees.to_radians(); 2];
             let bent = Camera { width: 120, height: 90, focal, center: [60.0, 45.0], ..camera() };
-            let distortion = fisheye([0.0; 4]);
-            let way = Straightening::new(distortion, &bent).unwrap();
+            let way = Straightening::new(fisheye([0.0; 4]), &bent).unwrap();
             assert_eq!(way.is_cropped, is_cropped, "{degrees}");
             let [width, height] = way.field_degrees();
             assert!(width > 60.0 && width < 160.0 && height > 60.0, "{degrees}: {width} {height}");
             assert!(way.camera.width <= 240 && way.camera.height <= 180);
-            let lens =
-                Lens { size: Some([120, 90]), distortion, ..Lens::pinhole(focal.map(f64::from), [None; 2]) };
-            let note = crop_note([lens, lens].iter());
-            assert_eq!(note.is_some(), is_cropped, "{note:?}");
-            assert!(note.is_none_or(|note| note.contains("2 photographs") && note.contains("cropped to")));
         }
     }
 

@@ -6,7 +6,6 @@
 //! the mask.
 
 use crate::codec::file::is_there;
-use crate::codec::image::image_header;
 use crate::dataset::files::{Folders, check_image_name, mask_folder, quoted, read_json, view_name};
 use crate::dataset::lens::Lens;
 use crate::dataset::pose::Rigid;
@@ -58,15 +57,6 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
         let name = view_name(&key);
         let image =
             images.as_mut().map(|images| images.photograph(&key)).transpose()?.map(|(_, image)| image);
-        if let (Some(image), None) = (&image, &masks)
-            && !image_header(image)?.has_alpha()
-        {
-            let problem = format!(
-                "the view `{name}` has no mask: there is no folder `mask`, and the image has no alpha"
-            );
-            let help = "Add a mask for every image: white where the object is, black elsewhere.";
-            return Err(Error::input(image, "", problem, help));
-        }
         views.push(ViewPlan {
             name,
             camera_file: file.clone(),

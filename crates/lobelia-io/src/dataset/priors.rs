@@ -257,7 +257,7 @@ impl MapLookup<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::test_data::write_exr;
+    use crate::codec::test_data::{temporary, write_exr};
     use crate::dataset::lens::Distortion;
 
     #[test]
@@ -267,8 +267,7 @@ mod tests {
         let way = Straightening::new(lens, &bent).unwrap();
         let value = |i: usize| 0.1 + 0.01 * (i % 24) as f32 + 0.02 * (i / 24) as f32;
         let pixels: Vec<f32> = (0..24 * 18).map(value).collect();
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("v.exr");
+        let (_folder, path) = temporary("v.exr");
         write_exr(&path, 24, 18, &["R", "G", "B"].map(|channel| (channel, pixels.clone())));
         let image = Image { width: 24, height: 18, pixels: pixels.into_iter().map(Vec3::splat).collect() };
         for downscale in [1, 3] {

@@ -132,6 +132,8 @@ pub struct LoadedView {
     pub repairs: Repairs,
     /// Whether the background outside the mask is made black.
     pub blackened: bool,
+    /// The field of view in degrees that is left by undistortion, if it leaves out what the photograph shows.
+    pub cropped: Option<[f64; 2]>,
 }
 
 impl PlannedView {
@@ -232,7 +234,8 @@ impl PlannedView {
             placement: self.placement,
             ..ViewRecord::of_camera(plan.name.clone(), self.split, camera)
         };
-        Ok(LoadedView { record, repairs, blackened })
+        let cropped = way.filter(|way| way.is_cropped).map(|way| way.field_degrees());
+        Ok(LoadedView { record, repairs, blackened, cropped })
     }
 }
 
@@ -258,6 +261,11 @@ pub fn load_notes(loaded: &[LoadedView]) -> Vec<String> {
     let blackened = loaded.iter().filter(|view| view.blackened).count();
     notes.extend((blackened > 0).then(|| {
         format!("the background outside the mask is made black in {blackened} photographs without alpha")
+    }));
+    let fields: Vec<[f64; 2]> = loaded.iter().filter_map(|view| view.cropped).collect();
+    notes.extend(fields.first().map(|[width, height]| {
+        let count = fields.len();
+        format!("{count} photographs show more than a pinhole camera can; undistorted they are cropped to {width:.0}° × {height:.0}°")
     }));
     notes
 }

@@ -93,7 +93,7 @@ mod tests {
     use crate::codec::image::{Gamma, Orientation, read_image};
     use crate::codec::npy::{NpyConvention, read_lobes, write_lobes};
     use crate::codec::png_file::write_rgb8;
-    use crate::codec::test_data::hdr_bytes;
+    use crate::codec::test_data::{hdr_bytes, temporary};
     use glam::Vec3;
     use image::{Rgb, RgbImage};
     use lobelia_geometry::error::Result;
@@ -205,8 +205,7 @@ mod tests {
         for (name, write) in WRITERS {
             for (call, after) in [(Call::Write, 0), (Call::Write, 1), (Call::Sync, 0)] {
                 for errno in ERRORS {
-                    let folder = tempfile::tempdir().unwrap();
-                    let path = folder.path().join(name);
+                    let (folder, path) = temporary(name);
                     std::fs::write(&path, b"old").unwrap();
                     let faulty = Faulty::new(folder.path(), call, FileFault::Errno { errno, after });
                     let written = write(&path);
@@ -235,8 +234,7 @@ mod tests {
     #[test]
     fn few_bytes_at_a_time_and_interruptions_read_the_same_values() {
         for (name, write, read) in READERS {
-            let folder = tempfile::tempdir().unwrap();
-            let path = folder.path().join(name);
+            let (folder, path) = temporary(name);
             write(&path);
             let whole = read(&path).unwrap();
             for fault in [FileFault::Short(1), FileFault::Short(5), FileFault::Interrupted] {
@@ -250,8 +248,7 @@ mod tests {
     #[test]
     fn a_disk_that_fails_while_it_is_read_is_one_error_that_names_the_file() {
         for (name, write, read) in READERS {
-            let folder = tempfile::tempdir().unwrap();
-            let path = folder.path().join(name);
+            let (folder, path) = temporary(name);
             write(&path);
             for after in [0, 1] {
                 let _faulty = Faulty::new(folder.path(), Call::Read, FileFault::Errno { errno: 5, after });
@@ -266,8 +263,7 @@ mod tests {
 
     #[test]
     fn texts_and_parts_are_whole_in_spite_of_interruptions() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.ron");
+        let (folder, path) = temporary("a.ron");
         let text = "grün ".repeat(300);
         std::fs::write(&path, &text).unwrap();
         for fault in [FileFault::Short(1), FileFault::Interrupted] {

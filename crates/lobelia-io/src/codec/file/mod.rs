@@ -307,6 +307,7 @@ pub fn read_folder(path: &Path) -> Result<ReadDir> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::test_data::temporary;
 
     fn refused(path: &Path) -> (String, String) {
         let error = read_bytes(path, |_| "look elsewhere".to_owned()).unwrap_err();
@@ -335,8 +336,7 @@ mod tests {
     #[cfg(unix)]
     #[test]
     fn what_might_never_end_is_not_opened() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("special");
+        let (folder, path) = temporary("special");
         let made = std::process::Command::new("mkfifo").arg(&path).status();
         assert!(made.unwrap().success());
         assert!(refused(&path).0.contains("this is a pipe, not a regular file"));
@@ -351,8 +351,7 @@ mod tests {
 
     #[test]
     fn sizes_are_bounded_before_anything_is_read() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("large");
+        let (_folder, path) = temporary("large");
         // A sparse file: it takes no room on the disk.
         fs::File::create(&path).unwrap().set_len(MOST_BYTES + 1).unwrap();
         let (problem, _) = refused(&path);
@@ -365,8 +364,7 @@ mod tests {
 
     #[test]
     fn texts_lose_their_byte_order_mark_and_name_bad_bytes() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("text");
+        let (_folder, path) = temporary("text");
         let read = |bytes: &[u8]| {
             fs::write(&path, bytes).unwrap();
             read_text(&path, MOST_TEXT, |_| String::new())

@@ -199,6 +199,7 @@ fn file_stem(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::test_data::temporary;
 
     fn names_in(folder: &Path) -> Vec<String> {
         let mut names: Vec<String> = fs::read_dir(folder)
@@ -211,8 +212,7 @@ mod tests {
 
     #[test]
     fn success_leaves_only_the_final_file_and_failure_the_old_one() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("new/out.txt");
+        let (_folder, path) = temporary("new/out.txt");
         write_bytes(&path, b"one").unwrap();
         write_bytes(&path, b"two").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"two");

@@ -265,6 +265,7 @@ fn inverse_transpose_direction(matrix: Mat3) -> DMat3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::test_data::temporary;
     use serde_json::{Value, json};
 
     /// A `.gltf` document under construction; its one buffer becomes a data URI unless told otherwise.
@@ -353,8 +354,7 @@ mod tests {
     }
 
     fn read_bytes(bytes: &[u8]) -> Result<(Mesh, MeshReport)> {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mesh.gltf");
+        let (_folder, path) = temporary("mesh.gltf");
         std::fs::write(&path, bytes).unwrap();
         read_mesh_with_report(&path)
     }
@@ -484,8 +484,7 @@ mod tests {
 
     #[test]
     fn external_buffers_are_found_beside_the_file_or_missed_by_name() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mesh.gltf");
+        let (folder, path) = temporary("mesh.gltf");
         let mut document = Document::triangle();
         document.root["buffers"] = json!([{"byteLength": document.bytes.len(), "uri": "the%20data.bin"}]);
         std::fs::write(&path, document.text()).unwrap();

@@ -93,10 +93,10 @@ impl GltfMaterial {
         }
     }
 
-    /// Whether no number or color is NaN or infinite.
-    pub(super) fn is_finite(&self) -> bool {
-        let colors = self.base_color.is_finite() && self.specular_color.is_finite();
-        colors && [self.roughness, self.specular, self.ior].iter().all(|number| number.is_finite())
+    /// The values of its colors and factors.
+    pub(super) fn values(&self) -> impl Iterator<Item = f32> + use<> {
+        let colors = [self.base_color, self.specular_color].map(|color| color.to_array());
+        colors.into_iter().flatten().chain([self.roughness, self.specular, self.ior])
     }
 
     /// F0, linear RGB in `[0, 1]`.
@@ -159,7 +159,10 @@ pub fn read_material(path: &Path) -> Result<GltfMaterial> {
         ior: ior.map_or(default.ior, |ior| ior.ior.0.max(1.0)),
         ..default
     };
-    if read.is_finite() { Ok(read) } else { Err(file.error(place, "has a value that is not finite")) }
+    if read.values().all(f32::is_finite) {
+        return Ok(read);
+    }
+    Err(file.error(place, "has a value that is not finite"))
 }
 
 /// The property of the material that one lobe and one diffuse texture cannot represent.
@@ -307,6 +310,7 @@ impl GltfTable {
 mod tests {
     use super::*;
     use crate::codec::gltf::export::write_glb;
+    use crate::codec::test_data::temporary;
     use lobelia_geometry::mesh::primitive::box_mesh;
     use lobelia_sg::brdf::Ndf;
 
@@ -319,8 +323,7 @@ mod tests {
 
     #[test]
     fn a_lobe_survives_gltf() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mesh.glb");
+        let (_folder, path) = temporary("mesh.glb");
         let mesh = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
         for specular in [Vec3::new(0.3, 0.2, 0.05), Vec3::splat(0.04), Vec3::new(0.9, 0.5, 0.1)] {
             let lobe = SpecularLobe::new(specular, 0.35);
@@ -353,8 +356,7 @@ mod tests {
 
     #[test]
     fn what_has_no_words_here_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mesh.gltf");
+        let (_folder, path) = temporary("mesh.gltf");
         let refused = |materials: &str, primitives: &str, word: &str| {
             let text = format!(
                 r#"{{"asset": {{"version": "2.0"}}, "materials": [{materials}], "meshes": [{{"primitives": [{primitives}]}}]}}"#

@@ -246,21 +246,15 @@ pub(super) fn check_size(path: &Path, header: &ImageHeader, file_bytes: u64) -> 
     if pixels == 0 {
         return Err(damaged(path, format, &format!("its size is {width}×{height}")));
     }
-    if pixels > MOST_PIXELS {
-        let problem = format!(
-            "its header declares {width}×{height} pixels, more than {LONGEST_SIDE}×{LONGEST_SIDE}, the most that is read"
-        );
-        let help = "Reduce its size, e.g. with `magick FILE -resize 50% FILE`. If it is not that large, copy it again.";
-        return Err(Error::input(path, "", problem, help));
-    }
     // A JPEG is read as a whole, the others piece by piece.
     let held = if format == Format::Jpeg { decoded.max(file_bytes) } else { decoded };
-    if held > MAX_DECODED_BYTES as u64 {
-        let [file, decoded, most] = [file_bytes, decoded, MAX_DECODED_BYTES as u64].map(|bytes| bytes >> 20);
+    if pixels > MOST_PIXELS || held > MAX_DECODED_BYTES as u64 {
+        let [held, most] = [held, MAX_DECODED_BYTES as u64].map(|bytes| bytes >> 20);
         let problem = format!(
-            "{width}×{height} pixels in {file} MiB, {decoded} MiB when decoded, more than the {most} MiB that are read"
+            "its header declares {width}×{height} pixels in {held} MiB, more than {LONGEST_SIDE}×{LONGEST_SIDE} in {most} MiB, the most that is read"
         );
-        return Err(Error::input(path, "", problem, "Reduce its size, or save it with 8 or 16 bits."));
+        let help = "Reduce its size, e.g. with `magick FILE -resize 50% FILE`, or save it with 8 or 16 bits. If it is not that large, copy it again.";
+        return Err(Error::input(path, "", problem, help));
     }
     // The most that any of these saves: LZW, of eight pixels in a byte. WebP needs no more for a single color, and the header of an EXR
     // is checked with its channels.

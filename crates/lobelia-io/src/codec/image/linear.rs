@@ -307,24 +307,9 @@ fn is_colorful(colors: &[[u32; 3]]) -> bool {
     colors.iter().any(|[r, g, b]| r != g || g != b)
 }
 
-/// True if all are shades of one color, as at the soft edges of an object that is painted in it.
-fn are_shades(colors: &[[u32; 3]]) -> bool {
-    let sum = |color: &[u32; 3]| color.iter().map(|&channel| u64::from(channel)).sum::<u64>();
-    let Some(brightest) = colors.iter().max_by_key(|color| sum(color)) else { return false };
-    let full = sum(brightest);
-    // Rounded to whole values.
-    let is_shade = |color: &[u32; 3]| {
-        (0..3).all(|c| {
-            let (own, scaled) = (u64::from(color[c]) * full, u64::from(brightest[c]) * sum(color));
-            own.abs_diff(scaled) <= 2 * full
-        })
-    };
-    is_colorful(colors) && colors.iter().all(is_shade)
-}
-
 /// Refuses a few colors or low values, which are labels of several objects: they say nothing of which one is meant.
 fn check_labels(path: &Path, colors: &[[u32; 3]]) -> Result<()> {
-    if !(2..=MOST_LABELS).contains(&colors.len()) || are_shades(colors) {
+    if !(2..=MOST_LABELS).contains(&colors.len()) {
         return Ok(());
     }
     let greatest = colors.iter().map(|color| color[0]).max().unwrap_or(0);

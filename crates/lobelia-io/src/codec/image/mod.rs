@@ -166,14 +166,7 @@ fn decoder<'a>(
             limits.max_alloc = Some(MOST_CHUNK_BYTES);
             Box::new(PngDecoder::with_limits(source, limits).map_err(wrong)?)
         }
-        Format::Webp => {
-            let decoder = WebPDecoder::new(source).map_err(wrong)?;
-            if decoder.has_animation() {
-                let help = "Take a frame with `webpmux -get frame 1 FILE -o FRAME`.";
-                return Err(Error::input(path, "", "this WebP is an animation", help));
-            }
-            Box::new(decoder)
-        }
+        Format::Webp => Box::new(WebPDecoder::new(source).map_err(wrong)?),
         Format::Hdr => Box::new(HdrDecoder::new_nonstrict(source).map_err(wrong)?),
         _ => Box::new(JpegDecoder::new(source).map_err(wrong)?),
     })

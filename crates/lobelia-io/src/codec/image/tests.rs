@@ -215,9 +215,9 @@ fn pictures_that_declare_more_than_is_read_or_than_they_hold_are_refused() {
     };
     for (bytes, words) in [
         (hdr, "900000×900000"),
-        (tiff(26_000), "26000×26000 pixels, more than 16384×16384"),
+        (tiff(26_000), "26000×26000 pixels in 644 MiB, more than 16384×16384"),
         (tiff(16_000), "bytes can hold"),
-        (jpeg(20_000), "20000×20000 pixels, more than"),
+        (jpeg(20_000), "20000×20000 pixels in"),
         (jpeg(12_000), "bytes can hold"),
         (jpeg(0), "damaged"),
     ] {
@@ -531,16 +531,6 @@ fn one_color_of_a_palette_is_full_coverage_and_several_are_refused() {
     palette(&at("p.png"), &[black, red, green], &[0, 1, 2, 0]);
     let problem = problem_of(read_mask(at("p.png"), Orientation::Upright));
     assert!(problem.contains("2 colors") && problem.contains("white where the object is"), "{problem}");
-}
-
-#[test]
-fn soft_edges_of_one_color_are_coverage() {
-    let (_dir, at) = folder();
-    let colors = [[0, 0, 0], [200, 40, 10], [100, 20, 5], [51, 10, 3]];
-    palette(&at("p.png"), &colors, &[0, 1, 1, 1, 1, 2, 3]);
-    let coverage = read_mask(at("p.png"), Orientation::Upright).unwrap().mask.coverage;
-    let expected = [0.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.25];
-    assert!(coverage.iter().zip(expected).all(|(found, truth)| (found - truth).abs() < 0.02), "{coverage:?}");
 }
 
 #[test]

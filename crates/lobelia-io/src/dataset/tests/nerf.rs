@@ -154,6 +154,21 @@ fn distortion_is_undone_by_every_model() {
 }
 
 #[test]
+fn what_a_pinhole_cannot_show_is_cropped_with_a_note() {
+    let set = wide();
+    set.put(TRANSFORMS, "/is_fisheye", json!(true));
+    for (focal, is_cropped) in [(40, false), (22, true)] {
+        ["/fl_x", "/fl_y"].iter().for_each(|field| set.put(TRANSFORMS, field, json!(focal)));
+        let notes = set.all().notes.join(" ");
+        assert_eq!(
+            notes.contains("1 photographs show more than a pinhole camera can"),
+            is_cropped,
+            "{notes}"
+        );
+    }
+}
+
+#[test]
 fn intrinsics_of_a_frame_go_before_the_shared_ones() {
     let set = transforms_of(&["images/0.png", "images/1.png"]);
     let params = json!([-0.01, 0.002, 0.003, 0.0, 0.004, 0.005]);

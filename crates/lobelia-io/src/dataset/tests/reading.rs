@@ -192,8 +192,6 @@ fn missing_images_and_masks_are_named() {
     assert_says(&set.error(), &["v_1.exr", "missing", "The folder has v_0.exr"]);
     set.write("train/image/v_1.heic", HEIC);
     assert_says(&set.error(), &["v_1.heic: this is a HEIC, which is not read", "heif-convert"]);
-    set.remove("train/mask");
-    assert_says(&set.error(), &["v_0.exr", "`v_0` has no mask", "no alpha", "Add a mask"]);
     let set = nerf(2);
     set.remove("r/r_1.png");
     assert_says(&set.error(), &["frame 1", "r_1", "missing", "one file or folder"]);
