@@ -13,6 +13,7 @@
 //! split is that of the other list, or all other views.
 
 use crate::codec::file::{is_there, read_bytes};
+use crate::codec::image::has_extension;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::files::{
     Folders, PHOTOGRAPH_FOLDERS, SplitList, check_image_name, entries, file_name, flat_name, image_files,
@@ -55,27 +56,22 @@ struct Place {
     /// The `images` files of its models; at least one.
     models: Vec<PathBuf>,
     photographs: PathBuf,
-    /// Whether the photographs are not where they usually are, but in a folder beside that of another usual name.
-    is_renamed: bool,
+    /// Whether the photographs are where they usually are, and not in a folder beside that of another usual name, or nowhere.
+    is_usual: bool,
 }
 
 impl Place {
-    fn new(models: Vec<PathBuf>, photographs: PathBuf) -> Option<Self> {
-        if models.is_empty() {
-            return None;
-        }
-        if photographs.is_dir() {
-            return Some(Self { models, photographs, is_renamed: false });
-        }
+    fn new(models: Vec<PathBuf>, usual: PathBuf) -> Option<Self> {
+        let is_usual = usual.is_dir();
         let rank = |path: &Path| {
             let name = file_name(path).to_lowercase();
             PHOTOGRAPH_FOLDERS.iter().position(|usual| *usual == name)
         };
         let has_images = |path: &Path| image_files(path).is_ok_and(|files| !files.is_empty());
-        let beside = photographs.parent().into_iter().flat_map(entries);
+        let beside = usual.parent().filter(|_| !is_usual && !models.is_empty()).into_iter().flat_map(entries);
         let other = beside.filter_map(|path| Some((rank(&path).filter(|_| has_images(&path))?, path))).min();
-        let is_renamed = other.is_some();
-        Some(Self { models, photographs: other.map_or(photographs, |(_, path)| path), is_renamed })
+        let photographs = other.map_or(usual, |(_, path)| path);
+        (!models.is_empty()).then_some(Self { models, photographs, is_usual })
     }
 
     /// The first place in a folder with both models and photographs, or else with models.
@@ -120,9 +116,7 @@ pub(super) fn has_split(dir: &Path, split: Split) -> bool {
 /// photographs in the folder that belongs to it.
 pub(super) fn is_for_the_record(dir: &Path) -> bool {
     let is_kept = |file: &PathBuf| FOR_THE_RECORD.iter().any(|folder| file.starts_with(dir.join(folder)));
-    Place::find(dir).is_some_and(|place| {
-        place.models.iter().all(is_kept) || place.is_renamed || !place.photographs.is_dir()
-    })
+    Place::find(dir).is_some_and(|place| place.models.iter().all(is_kept) || !place.is_usual)
 }
 
 /// The file of the model with the most images, the first of equals, its images, and a note about the others.
@@ -263,18 +257,14 @@ struct ModelImage {
     camera_from_world: Rigid,
 }
 
-fn is_text(file: &Path) -> bool {
-    file.extension().is_some_and(|kind| kind == "txt")
-}
-
 /// The photographs of the model of which this is the `images` file.
 fn images_of(image_file: &Path) -> Result<Vec<ModelImage>> {
-    if is_text(image_file) { images_of_text(image_file) } else { images_of_bytes(image_file) }
+    if has_extension(image_file, &["txt"]) { images_of_text(image_file) } else { images_of_bytes(image_file) }
 }
 
 /// The cameras of the model of which this is the `images` file, by their numbers.
 fn cameras_of(image_file: &Path) -> Result<BTreeMap<u32, Lens>> {
-    let is_text = is_text(image_file);
+    let is_text = has_extension(image_file, &["txt"]);
     let file = image_file.with_file_name(if is_text { "cameras.txt" } else { "cameras.bin" });
     if is_text { cameras_of_text(&file) } else { cameras_of_bytes(&file) }
 }

@@ -19,7 +19,7 @@ mod views;
 
 pub use layout::{find_layout, has_split};
 pub use priors::Priors;
-pub use views::{LoadedView, PlannedView, load_notes};
+pub use views::{LoadedView, PlannedView, ViewPlan, load_notes};
 
 use crate::codec::image::Gamma;
 use files::{check_name, near, quoted};
@@ -35,7 +35,7 @@ use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::path::Path;
 use std::sync::Arc;
-use views::{Curves, ViewPlan, split_name};
+use views::{Curves, split_name};
 
 /// How a data set's folder is laid out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

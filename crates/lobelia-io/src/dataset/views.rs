@@ -20,24 +20,25 @@ use std::sync::Arc;
 
 /// A view as a layout describes it, before its photograph is read.
 #[derive(Clone, Debug)]
-pub(super) struct ViewPlan {
+pub struct ViewPlan {
     /// File stem of the image.
     pub name: String,
     /// The file that describes the camera.
     pub camera_file: PathBuf,
     /// Where in that file.
-    pub place: String,
+    pub(super) place: String,
+    /// The file of the photograph, unless the data set has cameras only.
     pub image: Option<PathBuf>,
     /// The file of the mask; if `None`, the image's alpha is the mask, if it has any.
     pub mask: Option<PathBuf>,
-    pub lens: Lens,
+    pub(super) lens: Lens,
     /// World_from_camera.
-    pub pose: Rigid,
+    pub(super) pose: Rigid,
 }
 
 impl ViewPlan {
     /// The error for a camera of which something is wrong.
-    pub fn wrong(&self, problem: impl Into<String>, help: impl Into<String>) -> Error {
+    pub(super) fn wrong(&self, problem: impl Into<String>, help: impl Into<String>) -> Error {
         Error::input(&self.camera_file, &self.place, problem, help)
     }
 
@@ -114,8 +115,10 @@ pub(super) fn split_name(split: Split) -> &'static str {
 /// A view of a data set whose files are found and not read.
 #[derive(Clone, Debug)]
 pub struct PlannedView {
-    pub(super) plan: ViewPlan,
-    pub(super) split: Split,
+    /// Its name and files.
+    pub plan: ViewPlan,
+    /// Its part of the data set.
+    pub split: Split,
     pub(super) curves: Arc<Curves>,
     pub(super) pixel_center: f32,
     pub(super) downscale: u32,
@@ -137,41 +140,16 @@ pub struct LoadedView {
 }
 
 impl PlannedView {
-    /// Name of the view.
-    pub fn name(&self) -> &str {
-        &self.plan.name
-    }
-
-    /// Its part of the data set.
-    pub fn split(&self) -> Split {
-        self.split
-    }
-
     /// The camera's axes (x right, y down, z forward) and position in the world.
     pub fn world_from_camera(&self) -> Affine3A {
         self.plan.pose.to_affine()
     }
 
-    /// The file that describes the camera.
-    pub fn camera_file(&self) -> &Path {
-        &self.plan.camera_file
-    }
-
-    /// The file of the photograph, unless the data set has cameras only.
-    pub fn image_path(&self) -> Option<&Path> {
-        self.plan.image.as_deref()
-    }
-
-    /// The file of the mask, unless alpha is the mask.
-    pub fn mask_path(&self) -> Option<&Path> {
-        self.plan.mask.as_deref()
-    }
-
     /// Photograph, mask and prior maps, as files that are read.
     pub fn pictures(&self) -> impl Iterator<Item = FileUse> {
-        let photograph = self.image_path().map(|path| FileUse::new(path, "a photograph"));
-        let mask = self.mask_path().map(|path| FileUse::new(path, "a mask"));
-        photograph.into_iter().chain(mask).chain(self.priors.uses())
+        let photograph = self.plan.image.iter().map(|path| FileUse::new(path, "a photograph"));
+        let mask = self.plan.mask.iter().map(|path| FileUse::new(path, "a mask"));
+        photograph.chain(mask).chain(self.priors.uses())
     }
 
     /// Reads photograph and mask: first what their headers say, so that no pixel is decoded of files that do not fit.
@@ -218,7 +196,10 @@ impl PlannedView {
         let camera = way.as_ref().map_or(bent, |way| way.camera).scaled(downscale);
         let blackened =
             picture.as_mut().zip(mask.as_ref()).is_some_and(|(picture, mask)| picture.blacken(mask));
-        let repairs = picture.as_ref().map(Picture::repairs).unwrap_or_default();
+        let repairs = match &picture {
+            Some(Picture::Linear(loaded)) => loaded.repairs.clone(),
+            _ => Repairs::default(),
+        };
         let mask = mask.map(|mask| if downscale > 1 { mask.downscaled(downscale) } else { mask });
         let keep =
             |picture: Picture| picture.keep(&camera, downscale, is_resampled, mask.as_ref(), &self.curves);
@@ -300,14 +281,6 @@ impl Picture {
             return Ok(Self::Linear(linear_image(&decoded, repairs, gamma)));
         }
         Ok(Self::Stored(decoded))
-    }
-
-    /// What was repaired; integers need none.
-    fn repairs(&self) -> Repairs {
-        match self {
-            Self::Stored(_) => Repairs::default(),
-            Self::Linear(loaded) => loaded.repairs.clone(),
-        }
     }
 
     /// Coverage in `[0, 1]`, if the file has alpha.
