@@ -247,21 +247,8 @@ mod tests {
             write_map_exr(&gradient(width, height), &path).unwrap();
             assert!(error_of(&path).contains(&format!("{width} × {height}")));
         }
-    }
-
-    #[test]
-    fn truncated_foreign_and_missing_files_are_refused() {
-        let (folder, path) = temporary("map.exr");
-        write_map_exr(&gradient(64, 32), &path).unwrap();
-        let whole = std::fs::read(&path).unwrap();
-        for part in [0, 3, 4, 50, 200, whole.len() / 2, whole.len() - 1] {
-            std::fs::write(&path, &whole[..part]).unwrap();
-            error_of(&path);
-        }
         image::RgbImage::new(4, 2).save_with_format(&path, image::ImageFormat::Png).unwrap();
         assert!(error_of(&path).contains("is a PNG, neither"));
-        assert!(error_of(&folder.path().join("none.exr")).contains("no such file"));
-        assert!(error_of(folder.path()).contains("folder"));
     }
 
     #[test]

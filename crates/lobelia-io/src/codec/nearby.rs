@@ -76,13 +76,6 @@ mod tests {
     }
 
     #[test]
-    fn close_names_are_found() {
-        let names = ["rgb_000001", "rgb_000002", "depth"];
-        assert_eq!(closest("rgb_00001", names), ["rgb_000001", "rgb_000002"]);
-        assert!(closest("elephant", names).is_empty());
-    }
-
-    #[test]
     fn a_missing_file_is_told_with_what_there_is() {
         let dir = tempfile::tempdir().unwrap();
         let help = |name: &str| missing_file_help(&dir.path().join(name));

@@ -273,13 +273,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn percent_sequences() {
-        assert_eq!(percent_decoded("a%20b%2Fc").as_deref(), Some("a b/c"));
-        assert_eq!(percent_decoded("50%").as_deref(), Some("50%"));
-        assert_eq!(percent_decoded("%ff"), None);
-    }
-
-    #[test]
     fn normalized_integers() {
         assert_eq!(float_at(&[0x80], ComponentType::I8, true), -1.0);
         assert_eq!(float_at(&[0xff], ComponentType::U8, true), 1.0);

@@ -84,17 +84,10 @@ pub fn read_image(path: impl AsRef<Path>, gamma: Gamma, orientation: Orientation
 /// The samples of a photograph, repaired as [`read_image`] does; negative colors are set to 0.
 ///
 /// # Errors
-/// As for [`read_image`] for its file; also if most pixels that are not black are negative.
+/// As for [`read_image`] for its file.
 pub fn decode_photograph(path: impl AsRef<Path>, orientation: Orientation) -> Result<(Decoded, Repairs)> {
-    let path = path.as_ref();
-    let (mut decoded, repairs) = repaired(path, orientation)?;
-    let Repairs { negative, lit, .. } = repairs;
-    if 2 * negative > lit {
-        let problem = format!("{negative} of {lit} pixels that are not black are negative");
-        let help = "Light is never negative: is this an image of normals or differences? Render or convert it again.";
-        return Err(Error::input(path, "", problem, help));
-    }
-    if let (ImageSamples::Floats(samples), true) = (&mut decoded.samples, negative > 0) {
+    let (mut decoded, repairs) = repaired(path.as_ref(), orientation)?;
+    if let (ImageSamples::Floats(samples), true) = (&mut decoded.samples, repairs.negative > 0) {
         samples.iter_mut().for_each(|sample| *sample = sample.max(0.0));
     }
     Ok((decoded, repairs))
@@ -166,8 +159,6 @@ pub struct Repairs {
     pub too_bright: usize,
     /// Number of pixels with a negative color that is neither.
     pub negative: usize,
-    /// Number of pixels with a color other than black, before the repair.
-    pub lit: usize,
     /// Indices of the pixels that were set to 0, in ascending order.
     pub pixels: Vec<u32>,
 }
@@ -180,7 +171,6 @@ fn repaired(path: &Path, orientation: Orientation) -> Result<(Decoded, Repairs)>
     let ImageSamples::Floats(samples) = &mut decoded.samples else { return Ok((decoded, repairs)) };
     for (i, pixel) in samples.chunks_exact_mut(channels).enumerate() {
         let (color, alpha) = pixel.split_at_mut(if channels < 3 { 1 } else { 3 });
-        repairs.lit += usize::from(color.iter().any(|&c| c != 0.0));
         let is_finite = color.iter().chain(&*alpha).all(|sample| sample.is_finite());
         let is_bright = color.iter().any(|c| c.abs() > BRIGHTEST);
         if !is_finite || is_bright {

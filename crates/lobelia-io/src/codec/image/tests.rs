@@ -101,7 +101,10 @@ fn cut_files_give_an_error_or_the_whole_picture() {
     let tiff = tiff_bytes(deflate, |encoder| encoder.write_image::<Gray8>(4, 2, &[9; 8]).unwrap());
     let jpeg = encode_jpeg(&image, 75).unwrap();
     let png = encode_png(image.as_raw(), [24, 24], ExtendedColorType::Rgb8).unwrap();
-    for (name, bytes) in [("a.jpg", &jpeg[..]), ("a.png", &png), ("a.tif", &tiff), ("a.webp", &LOSSY_WEBP)] {
+    let exr = exr_bytes(4, 40, &["R", "G", "B"].map(|name| (name, vec![0.25; 160])));
+    for (name, bytes) in
+        [("a.jpg", &jpeg[..]), ("a.png", &png), ("a.tif", &tiff), ("a.webp", &LOSSY_WEBP), ("a.exr", &exr)]
+    {
         fs::write(at(name), bytes).unwrap();
         let whole = read(at(name)).unwrap();
         for length in (1..bytes.len() - 4).step_by(if bytes.len() > 200 { 3 } else { 1 }) {
@@ -257,22 +260,15 @@ fn absurdly_bright_pixels_are_set_to_zero_and_counted_or_refused() {
 }
 
 #[test]
-fn negative_pixels_are_set_to_zero_in_photographs_and_refused_if_most_are() {
+fn negative_pixels_are_set_to_zero_in_photographs() {
     let (_dir, at) = folder();
-    let write = |values: Vec<f32>| {
-        let count = values.len();
-        write_exr(&at("a.exr"), count, 1, &[("Y", values)]);
-    };
-    write(vec![0.5, -0.01, 0.0, 0.25]);
+    write_exr(&at("a.exr"), 4, 1, &[("Y", vec![0.5, -0.01, 0.0, 0.25])]);
     let loaded = photograph(&at("a.exr")).unwrap();
     assert_eq!((loaded.repairs.negative, loaded.repairs.pixels.len()), (1, 0));
     assert_eq!(loaded.image.pixels.iter().map(|p| p.x).collect::<Vec<_>>(), [0.5, 0.0, 0.0, 0.25]);
     // Normals are read by the same code.
     let kept = read(at("a.exr")).unwrap();
     assert_eq!((kept.image.pixels[1].x, kept.repairs.negative), (-0.01, 1));
-    write(vec![-0.5, -0.01, 0.0, 0.25]);
-    let problem = problem_of(photograph(&at("a.exr")));
-    assert!(problem.contains("2 of 3 pixels that are not black are negative"), "{problem}");
 }
 
 /// 4×2 pixels of green by a lossy encoder.

@@ -82,6 +82,7 @@ fn training_views_are_held_out_where_there_is_no_test_split() {
         (physg(3), Layout::PhySg, ["v_0", "v_1", "v_2"]),
         (nerf(3), Layout::Nerf, ["r_0", "r_1", "r_2"]),
         (orb, Layout::StanfordOrb, ["r_0", "r_1", "r_2"]),
+        (transforms_of(&["f_2.png", "f_10.png", "f_11.png"]), Layout::Nerf, ["f_2", "f_10", "f_11"]),
     ] {
         assert_eq!(set.split(Split::Train).layout, layout);
         set.assert_splits(&[second, third], &[first]);

@@ -4,19 +4,6 @@
 use super::*;
 
 #[test]
-fn one_file_is_divided_by_hold_out() {
-    let names_of: Vec<String> = (0..11).map(|i| format!("./images/f_{i}.png")).collect();
-    let set = transforms_of(&names_of.iter().map(String::as_str).collect::<Vec<_>>());
-    let (train, test) = (set.split(Split::Train), set.split(Split::Test));
-    assert_eq!((test.layout, names(&test)), (Layout::Nerf, vec!["f_0", "f_8"]));
-    assert_eq!((train.views.len(), names(&train)[8]), (9, "f_10"), "in natural order");
-    let camera = train.views[0].camera;
-    assert_eq!((camera.focal, camera.center), ([8.0, 9.0], [3.0, 2.0]));
-    assert!(set.has_test(8) && !set.has_test(0));
-    assert!(train.notes.is_empty(), "{:?}", train.notes);
-}
-
-#[test]
 fn lists_divide_the_views() {
     let set =
         transforms_of(&["images/0.png", "images/1.png", "images/2.png", "images/3.png", "images/4.png"]);

@@ -95,19 +95,6 @@ fn cameras_without_images_are_read() {
 }
 
 #[test]
-fn nan_and_infinite_pixels_are_counted_in_a_note() {
-    let set = physg(2);
-    let mut channels = ["R", "G", "B"].map(|channel| (channel, vec![1.0; 24]));
-    [channels[0].1[0], channels[0].1[7]] = [f32::NAN, f32::INFINITY];
-    write_exr(&set.path("train/image/v_1.exr"), 6, 4, &channels);
-    let set = set.all();
-    assert_says(&set.notes.join(" "), &["2 NaN or infinite pixels", "v_1: 2"]);
-    let photograph = set.views[1].photograph.as_ref().unwrap();
-    let of_pixel = (photograph.radiance(7), photograph.is_saturated(7), photograph.is_saturated(8));
-    assert_eq!(of_pixel, (Vec3::ZERO, true, false));
-}
-
-#[test]
 fn photographs_lose_their_background_and_renderings_keep_their_rim() {
     // Of integers, without alpha.
     let set = physg(1);
