@@ -1,15 +1,11 @@
 //! Environment maps from OpenEXR and Radiance HDR files, and back.
 
-use crate::codec::exr::ExrLayers;
-use crate::codec::exr_frame::write_channels;
-use crate::codec::file;
 use crate::codec::image::{Decoded, ImageSamples, Orientation, decode_samples};
+use crate::codec::{exr::ExrLayers, exr_frame::write_channels, file};
 use glam::Vec3;
-use image::Rgb;
-use image::codecs::hdr::HdrEncoder;
+use image::{Rgb, codecs::hdr::HdrEncoder};
 use lobelia_geometry::{Error, Result};
-use lobelia_world::light::envmap::BoxFilter;
-use lobelia_world::light::{EnvironmentMap, validate_map};
+use lobelia_world::{light::EnvironmentMap, light::envmap::BoxFilter, light::validate_map};
 use std::path::Path;
 
 /// Maps wider than this are averaged down while they are read.

@@ -1,18 +1,13 @@
 //! Reading OpenEXR: channels of flat layers as `f32`, laid out on the display window.
 
-use crate::codec::file::open;
-use crate::codec::image::{Format, ImageHeader};
-use crate::codec::nearby::missing_file_help;
+use crate::codec::{file::open, image::Format, image::ImageHeader, nearby::missing_file_help};
 use exr::block::reader::{ChunksReader, Reader};
-use exr::math::Vec2;
 use exr::meta::attribute::{IntegerBounds, SampleType};
-use exr::meta::header::Header;
-use exr::prelude::f16;
+use exr::{math::Vec2, meta::header::Header, prelude::f16};
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
-use std::collections::BTreeMap;
+use lobelia_geometry::{Error, Result};
 use std::io::{Read, Seek, SeekFrom};
-use std::path::Path;
+use std::{collections::BTreeMap, path::Path};
 
 /// Decoded size in bytes above which a file is refused.
 pub(super) const MAX_DECODED_BYTES: usize = 1 << 31;

@@ -6,19 +6,15 @@
 use crate::codec::exr::{ExrLayers, read_exr_groups};
 use crate::codec::file::{check_finite, not_written, write_file};
 use exr::block::chunk::{Chunk, CompressedBlock, CompressedScanLineBlock};
-use exr::block::writer::ChunksWriter;
-use exr::math::Vec2;
 use exr::meta::attribute::{ChannelDescription, LineOrder, SampleType, Text};
 use exr::meta::header::{Header, LayerAttributes};
 use exr::meta::{BlockDescription, Headers};
-use flate2::Compression;
-use flate2::write::ZlibEncoder;
+use exr::{block::writer::ChunksWriter, math::Vec2};
+use flate2::{Compression, write::ZlibEncoder};
 use glam::Vec3;
-use lobelia_geometry::view::{BLOCK_ROWS, Frame};
-use lobelia_geometry::{Error, Result};
+use lobelia_geometry::{Error, Result, view::BLOCK_ROWS, view::Frame};
 use rayon::prelude::*;
-use std::io::Write as _;
-use std::path::Path;
+use std::{io::Write as _, path::Path};
 
 const COLOR: [&str; 3] = ["R", "G", "B"];
 const DIFFUSE: [&str; 3] = ["diffuse.R", "diffuse.G", "diffuse.B"];
@@ -283,8 +279,7 @@ pub fn read_frame_layers(path: impl AsRef<Path>, layers: &[Layer]) -> Result<Fra
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::exr::read_exr_layers;
-    use crate::codec::test_data::temporary;
+    use crate::codec::{exr::read_exr_layers, test_data::temporary};
 
     #[test]
     fn rows_that_cannot_be_compressed_are_kept_as_they_are() {

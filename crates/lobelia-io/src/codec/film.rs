@@ -1,15 +1,11 @@
 //! Films of frames that are PNG files: an MP4 by the program `ffmpeg`, or a GIF where it is not installed.
 
 use crate::codec::{file, png_file};
-use image::codecs::gif::{GifEncoder, Repeat};
-use image::{Delay, DynamicImage, ImageError, RgbImage};
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::{Error, Result};
-use std::ffi::OsStr;
-use std::fs::{self, File};
+use image::{Delay, DynamicImage, ImageError, RgbImage, codecs::gif::GifEncoder, codecs::gif::Repeat};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use std::io::{self, ErrorKind, Write as _};
-use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, Stdio};
+use std::{ffi::OsStr, fs, fs::File, path::Path, path::PathBuf};
 
 /// The program that encodes films.
 pub const FFMPEG: &str = "ffmpeg";
@@ -124,8 +120,7 @@ fn hundredths(i: u32, fps: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::codecs::gif::GifDecoder;
-    use image::{AnimationDecoder, Rgb};
+    use image::{AnimationDecoder, Rgb, codecs::gif::GifDecoder};
 
     /// Frames of uneven sides in a folder.
     fn frames(folder: &Path, count: u32) -> Vec<PathBuf> {

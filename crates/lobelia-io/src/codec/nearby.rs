@@ -1,8 +1,7 @@
 //! Help for wrong names: similar names that exist, and the contents of a folder.
 
 use crate::codec::file::folder_of;
-use std::cmp::Ordering;
-use std::path::Path;
+use std::{cmp::Ordering, path::Path};
 
 /// Natural order of names: runs of digits compare as numbers, so that `r_2` comes before `r_10`.
 pub fn natural_order(a: &str, b: &str) -> Ordering {

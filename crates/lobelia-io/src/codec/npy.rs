@@ -9,10 +9,8 @@ use glam::{DVec3, Vec3};
 use lobelia_geometry::{Error, Result};
 use lobelia_world::light::{LightLobe, MAX_RADIANCE, MAX_SHARPNESS, MOST_LOBES};
 use serde::{Deserialize, Serialize};
-use std::io::{Cursor, Read as _};
-use std::path::{Path, PathBuf};
-use zip::ZipArchive;
-use zip::result::ZipError;
+use std::{io::Cursor, io::Read as _, path::Path, path::PathBuf};
+use zip::{ZipArchive, result::ZipError};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Most bytes of a dictionary.

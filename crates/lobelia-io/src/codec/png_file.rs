@@ -5,8 +5,7 @@ use crate::codec::image::{Decoded, ImageSamples, Orientation, decode_samples};
 use image::{GrayImage, RgbImage};
 use lobelia_geometry::{Error, Result};
 use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
-use std::io::Write;
-use std::path::Path;
+use std::{io::Write, path::Path};
 
 /// Writes an opaque sRGB picture.
 ///

@@ -4,8 +4,7 @@ use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage,
 };
 use glam::Vec3;
-use std::io::{Cursor, Write};
-use std::path::{Path, PathBuf};
+use std::{io::Cursor, io::Write, path::Path, path::PathBuf};
 use tempfile::TempDir;
 
 /// The path of a file in a new folder, which is gone when the first value is dropped.

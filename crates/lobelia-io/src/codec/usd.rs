@@ -2,15 +2,11 @@
 //!
 //! The material is a `UsdPreviewSurface` in its specular workflow: F0 is given, F90 is one, and the lobe is GGX with α = roughness².
 
-use crate::codec::file::{not_written, write_bytes};
-use crate::codec::gltf::export::check_mesh;
+use crate::codec::{file::not_written, file::write_bytes, gltf::export::check_mesh};
 use glam::{Vec2, Vec3};
-use lobelia_geometry::Result;
-use lobelia_geometry::mesh::triangles::Mesh;
-use std::io::{Cursor, Write as _};
-use std::path::Path;
-use zip::write::SimpleFileOptions;
-use zip::{CompressionMethod, ZipWriter};
+use lobelia_geometry::{Result, mesh::triangles::Mesh};
+use std::{io::Cursor, io::Write as _, path::Path};
+use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
 /// Where the parts of a package begin: at multiples of this.
 const ALIGNMENT: u16 = 64;

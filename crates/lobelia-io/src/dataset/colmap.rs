@@ -12,9 +12,7 @@
 //! Names in the lists are those of the model, with or without extension. A list of test views gives the test split, and the training
 //! split is that of the other list, or all other views.
 
-use crate::codec::file::{is_there, read_bytes};
-use crate::codec::image::has_extension;
-use crate::codec::nearby::missing_file_help;
+use crate::codec::{file::is_there, file::read_bytes, image::has_extension, nearby::missing_file_help};
 use crate::dataset::files::{
     Folders, PHOTOGRAPH_FOLDERS, SplitList, check_image_name, entries, file_name, flat_name, image_files,
     image_key, listed, mask_folder, portable, quoted, read_text,
@@ -23,11 +21,8 @@ use crate::dataset::lens::{Distortion, Lens, MODELS, Trouble};
 use crate::dataset::pose::Rigid;
 use crate::dataset::views::{Plan, ViewPlan, split_name};
 use glam::{Affine3A, DMat3, DQuat, DVec3};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
-use std::str::FromStr;
+use lobelia_geometry::{Error, Result, view::Split};
+use std::{collections::BTreeMap, collections::BTreeSet, path::Path, path::PathBuf, str::FromStr};
 
 /// Where reconstructions are, and the folder of photographs that belongs to each: COLMAP's own, nerfstudio's, the outputs of COLMAP's
 /// `image_undistorter` and `automatic_reconstructor`, what 3D Gaussian splatting keeps of the distorted photographs, and instant-ngp's.

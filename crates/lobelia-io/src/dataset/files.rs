@@ -3,12 +3,10 @@
 use crate::codec::file::{check_file_name, is_there, read_folder};
 use crate::codec::image::{IMAGE_EXTENSIONS, has_extension, image_header, is_unread_name};
 use crate::codec::nearby::{closest, missing_file_help};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
+use lobelia_geometry::{Error, Result, view::Split};
 use serde::de::DeserializeOwned;
-use std::borrow::Cow;
-use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
+use std::{borrow::Cow, collections::BTreeMap, collections::BTreeSet};
 use unicode_normalization::{UnicodeNormalization, is_nfc};
 
 /// Most bytes of a camera file. COLMAP's text model of a thousand views has some hundred MiB.

@@ -11,10 +11,8 @@
 //! backward, and the position; the last is height, width and focal length in pixels. Photographs may be scaled versions of that size, in
 //! `images_4` and the like if there is no `images`.
 
-use crate::codec::file::{is_there, read_up_to};
-use crate::codec::nearby::missing_file_help;
-use crate::codec::npy::Npz;
-use crate::codec::npy::{Matrix, parse_matrix};
+use crate::codec::npy::{Matrix, Npz, parse_matrix};
+use crate::codec::{file::is_there, file::read_up_to, nearby::missing_file_help};
 use crate::dataset::files::{
     StemIndex, file_name, find_mask, image_files, mask_file, mask_folder, refusal_of_unread, view_name,
 };
@@ -22,7 +20,7 @@ use crate::dataset::lens::{Lens, whole_size};
 use crate::dataset::pose::{Rigid, check_finite};
 use crate::dataset::views::{Plan, ViewPlan};
 use glam::{DMat3, DVec3};
-use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::{Error, Result};
 use std::path::{Path, PathBuf};
 
 /// IDR's files of cameras, in the order in which they are looked for.

@@ -6,8 +6,7 @@ use crate::codec::nearby::{missing_file_help, natural_order};
 use crate::dataset::files::{PHOTOGRAPH_FOLDERS, entries, mask_folder};
 use crate::dataset::views::{Plan, split_name};
 use crate::dataset::{DatasetOptions, Layout, colmap, in_order, nerf, nerfactor, physg};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
+use lobelia_geometry::{Error, Result, view::Split};
 use std::path::{Path, PathBuf};
 
 /// The layouts, and the files that identify each, for errors.

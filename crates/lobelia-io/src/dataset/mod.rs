@@ -25,16 +25,13 @@ use crate::codec::image::Gamma;
 use files::{check_name, near, quoted};
 use glam::Vec3;
 use layout::{find_with_note, in_scene_file};
-use lobelia_geometry::error::{Error, Result};
 use lobelia_geometry::view::{Placement, Split, ViewRecord};
+use lobelia_geometry::{Error, Result};
 use pose::PRECISE;
 use priors::find_priors;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
-use std::ffi::OsStr;
-use std::path::Path;
-use std::sync::Arc;
+use std::{collections::BTreeMap, ffi::OsStr, path::Path, sync::Arc};
 use views::{Curves, split_name};
 
 /// How a data set's folder is laid out.

@@ -30,9 +30,9 @@
 //! Stanford-ORB's `blender_HDR` and `blender_LDR` are of this layout with masks in `train_mask` and `test_mask`; `transforms_novel.json`,
 //! cameras of the same object in other places, is not read. Its `llff_colmap_HDR` and `llff_colmap_LDR` are of that of COLMAP.
 
-use crate::codec::file::is_there;
-use crate::codec::image::{IMAGE_EXTENSIONS, is_unread_name};
-use crate::codec::nearby::missing_file_help;
+use crate::codec::{
+    file::is_there, image::IMAGE_EXTENSIONS, image::is_unread_name, nearby::missing_file_help,
+};
 use crate::dataset::files::{
     Folders, SplitList, check_image_name, check_path, entries, file_name, flat_name, image_files, leads_away,
     listed, portable, quoted, read_json, refusal_of_unread, tails, view_name,
@@ -40,12 +40,9 @@ use crate::dataset::files::{
 use crate::dataset::lens::{Distortion, Focal, Lens, Trouble, whole_size};
 use crate::dataset::pose::Rigid;
 use crate::dataset::views::{Plan, ViewPlan, split_name};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
-use serde::Deserialize;
-use serde::de::IgnoredAny;
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use lobelia_geometry::{Error, Result, view::Split};
+use serde::{Deserialize, de::IgnoredAny};
+use std::{collections::BTreeMap, path::Path, path::PathBuf};
 
 /// The file that describes the cameras of one split.
 pub(super) fn camera_file(dir: &Path, split: Split) -> PathBuf {

@@ -14,11 +14,8 @@
 
 use crate::codec::file::is_there;
 use crate::dataset::files::{entries, file_name, quoted, read_json};
-use crate::dataset::lens::{Focal, Lens};
-use crate::dataset::pose::Rigid;
-use crate::dataset::views::{Plan, ViewPlan};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
+use crate::dataset::{lens::Focal, lens::Lens, pose::Rigid, views::Plan, views::ViewPlan};
+use lobelia_geometry::{Error, Result, view::Split};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 

@@ -7,14 +7,11 @@
 
 use crate::codec::file::is_there;
 use crate::dataset::files::{Folders, check_image_name, mask_folder, quoted, read_json, view_name};
-use crate::dataset::lens::Lens;
-use crate::dataset::pose::Rigid;
 use crate::dataset::views::{Plan, ViewPlan, split_name};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
+use crate::dataset::{lens::Lens, pose::Rigid};
+use lobelia_geometry::{Error, Result, view::Split};
 use serde::Deserialize;
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::{collections::BTreeMap, path::Path, path::PathBuf};
 
 /// The file that describes the cameras of a split.
 pub(super) fn camera_file(dir: &Path, split: Split) -> PathBuf {

@@ -10,13 +10,10 @@
 
 use crate::codec::file::FileUse;
 use crate::codec::image::{Gamma, LoadedImage, Orientation, image_header, read_image};
-use crate::dataset::files::StemIndex;
-use crate::dataset::lens::Straightening;
+use crate::dataset::{files::StemIndex, lens::Straightening};
 use glam::{DVec2, Vec3};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::raster::bilinear;
-use lobelia_geometry::view::{Camera, Image, Mask, PixelWindow, Split};
-use lobelia_geometry::view::{PriorMap, ViewPriors};
+use lobelia_geometry::view::{Camera, Image, Mask, PixelWindow, PriorMap, Split, ViewPriors};
+use lobelia_geometry::{Error, Result, view::raster::bilinear};
 use lobelia_sg::statistics::quantile;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

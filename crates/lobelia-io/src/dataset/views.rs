@@ -6,17 +6,14 @@ use crate::codec::image::{
     image_header, linear_image, read_mask,
 };
 use crate::dataset::lens::{Distortion, Lens, Straightening};
-use crate::dataset::pose::Rigid;
-use crate::dataset::priors::{MapLookup, PriorFiles};
+use crate::dataset::{pose::Rigid, priors::MapLookup, priors::PriorFiles};
 use glam::{Affine3A, Vec3};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::raster::any_downscaled;
 use lobelia_geometry::view::stored::{Curve, IntegerSamples};
 use lobelia_geometry::view::{
     Camera, Mask, Photograph, PixelWindow, Placement, Split, StoredMask, ViewRecord,
 };
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use lobelia_geometry::{Error, Result, view::raster::any_downscaled};
+use std::{path::Path, path::PathBuf, sync::Arc};
 
 /// A view as a layout describes it, before its photograph is read.
 #[derive(Clone, Debug)]

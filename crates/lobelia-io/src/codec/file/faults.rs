@@ -85,20 +85,16 @@ mod tests {
     //! Every codec on a disk that gives few bytes at a time, is interrupted, or fails: the same bytes and values, or one error and nothing left.
 
     use super::{Call, Faulty, FileFault};
-    use crate::codec::envmap::read_map;
-    use crate::codec::exr_frame::{read_frame, write_frame};
     use crate::codec::file::{read_parts, read_text, write_bytes};
-    use crate::codec::gltf::export::write_glb;
-    use crate::codec::gltf::import::read_mesh;
     use crate::codec::image::{Gamma, Orientation, read_image};
     use crate::codec::npy::{NpyConvention, read_lobes, write_lobes};
-    use crate::codec::png_file::write_rgb8;
-    use crate::codec::test_data::{hdr_bytes, temporary};
+    use crate::codec::{
+        envmap::read_map, exr_frame::read_frame, exr_frame::write_frame, gltf::export::write_glb,
+        gltf::import::read_mesh, png_file::write_rgb8, test_data::hdr_bytes, test_data::temporary,
+    };
     use glam::Vec3;
     use image::{Rgb, RgbImage};
-    use lobelia_geometry::error::Result;
-    use lobelia_geometry::mesh::primitive::box_mesh;
-    use lobelia_geometry::view::Frame;
+    use lobelia_geometry::{Result, mesh::primitive::box_mesh, view::Frame};
     use lobelia_world::light::LightLobe;
     use std::path::Path;
 

@@ -3,9 +3,8 @@
 
 use crate::codec::file::write::{create_folders, folder_of};
 use lobelia_geometry::{Error, Result};
-use std::collections::HashMap;
 use std::fs::{self, File, TryLockError};
-use std::path::{Path, PathBuf};
+use std::{collections::HashMap, path::Path, path::PathBuf};
 
 /// A file, and what reads or writes it.
 #[derive(Clone, Debug, PartialEq, Eq)]

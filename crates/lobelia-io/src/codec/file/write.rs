@@ -3,12 +3,8 @@
 
 use crate::codec::file::DiskFile;
 use lobelia_geometry::{Error, Result};
-use std::collections::HashSet;
-use std::ffi::OsStr;
-use std::fmt::Display;
-use std::fs::{self, File};
 use std::io::{BufWriter, ErrorKind, Write as _};
-use std::path::{Path, PathBuf};
+use std::{collections::HashSet, ffi::OsStr, fmt::Display, fs, fs::File, path::Path, path::PathBuf};
 use tempfile::TempDir;
 
 /// Writes `path` through `write`: the bytes go to a hidden temporary file in the same folder (created if missing), which

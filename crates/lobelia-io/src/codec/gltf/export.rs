@@ -3,9 +3,7 @@
 use crate::codec::file::{check_finite, not_written, write_bytes};
 use crate::codec::gltf::material::GltfMaterial;
 use glam::{Vec2, Vec3};
-use lobelia_geometry::Result;
-use lobelia_geometry::mesh::tangents::vertex_tangents;
-use lobelia_geometry::mesh::triangles::Mesh;
+use lobelia_geometry::{Result, mesh::tangents::vertex_tangents, mesh::triangles::Mesh};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -193,12 +191,10 @@ fn container(text: &str, binary: &[u8]) -> Option<Vec<u8>> {
 mod tests {
     use super::*;
     use crate::codec::gltf::import::{MeshReport, read_mesh_with_report};
-    use crate::codec::image::encode_png;
-    use crate::codec::test_data::temporary;
+    use crate::codec::{image::encode_png, test_data::temporary};
     use gltf_json::validation::Validate;
     use image::ExtendedColorType;
-    use lobelia_geometry::Error;
-    use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
+    use lobelia_geometry::{Error, mesh::primitive::box_mesh, mesh::primitive::sphere_mesh};
 
     #[test]
     fn a_written_mesh_comes_back_bit_for_bit() {

@@ -2,15 +2,10 @@
 
 use crate::codec::gltf::GltfFile;
 use glam::{DMat3, Mat3, Mat4, Quat, Vec2, Vec3};
-use gltf_json::Index;
 use gltf_json::mesh::{Mode, Primitive, Semantic};
-use gltf_json::scene::Node;
-use gltf_json::validation::Checked;
-use lobelia_geometry::mesh::MAX_COORDINATE;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::{Error, Result};
-use std::collections::HashSet;
-use std::path::Path;
+use gltf_json::{Index, scene::Node, validation::Checked};
+use lobelia_geometry::{Error, Result, mesh::MAX_COORDINATE, mesh::triangles::Mesh};
+use std::{collections::HashSet, path::Path};
 
 /// Most triangles of all instances together. An atlas has at most 4096² texels: more triangles would show nothing.
 const MAX_TRIANGLES: u64 = 10_000_000;

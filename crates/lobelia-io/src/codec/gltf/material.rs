@@ -28,8 +28,7 @@ use lobelia_geometry::{Error, Result};
 use lobelia_sg::brdf::Facets;
 use lobelia_sg::reflectance::{ANGLES, cosine, gltf_reflectance, specular_reflectance, weight};
 use lobelia_world::material::SpecularLobe;
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 /// A material for [`crate::codec::gltf::export::write_glb`]: base color, roughness, and the colored reflectance of a dielectric; metallic is 0.
 #[derive(Clone, Debug, PartialEq)]
@@ -309,8 +308,7 @@ impl GltfTable {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::gltf::export::write_glb;
-    use crate::codec::test_data::temporary;
+    use crate::codec::{gltf::export::write_glb, test_data::temporary};
     use lobelia_geometry::mesh::primitive::box_mesh;
     use lobelia_sg::brdf::Ndf;
 

@@ -6,13 +6,9 @@ pub mod export;
 pub mod import;
 pub mod material;
 
-use crate::codec::file::read_bytes;
-use crate::codec::nearby::missing_file_help;
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
-use gltf_json::accessor::{ComponentType, Type};
-use gltf_json::validation::Checked;
-use gltf_json::{self as json, Index, Root};
+use crate::codec::{file::read_bytes, nearby::missing_file_help};
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+use gltf_json::{self as json, Index, Root, accessor::ComponentType, accessor::Type, validation::Checked};
 use lobelia_geometry::{Error, Result};
 use std::path::{Path, PathBuf};
 

@@ -4,8 +4,7 @@
 use crate::codec::image::format::{Format, ImageSamples, Orientation};
 use crate::codec::image::{Decoded, decode_samples};
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::{Image, Mask};
+use lobelia_geometry::{Error, Result, view::Image, view::Mask};
 use lobelia_sg::color::{linear_from_srgb, luminance};
 use serde::{Deserialize, Serialize};
 use std::path::Path;

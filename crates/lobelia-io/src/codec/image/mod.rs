@@ -20,17 +20,15 @@ pub use linear::{
     read_mask,
 };
 
-use crate::codec::exr::{decode_exr_picture, exr_header};
 use crate::codec::file::{DiskFile, first_bytes, open};
-use crate::codec::nearby::missing_file_help;
+use crate::codec::{exr::decode_exr_picture, exr::exr_header, nearby::missing_file_help};
 use format::{check_size, damaged, recognize};
-use image::codecs::hdr::HdrDecoder;
-use image::codecs::jpeg::{JpegDecoder, JpegEncoder};
-use image::codecs::png::{PngDecoder, PngEncoder};
-use image::codecs::webp::WebPDecoder;
-use image::metadata::Orientation as ExifOrientation;
-use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, Limits, RgbImage};
-use lobelia_geometry::error::{Error, Result};
+use image::{
+    DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, Limits, RgbImage,
+    codecs::hdr::HdrDecoder, codecs::jpeg::JpegDecoder, codecs::jpeg::JpegEncoder, codecs::png::PngDecoder,
+    codecs::png::PngEncoder, codecs::webp::WebPDecoder, metadata::Orientation as ExifOrientation,
+};
+use lobelia_geometry::{Error, Result};
 use std::io::{BufRead, BufReader, Cursor, Read as _, Seek};
 use std::path::Path;
 

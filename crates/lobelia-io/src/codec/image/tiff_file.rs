@@ -2,13 +2,11 @@
 
 use crate::codec::exr::MAX_DECODED_BYTES;
 use crate::codec::image::format::{Format, ImageHeader, ImageSamples, damaged, raw};
-use lobelia_geometry::error::{Error, Result};
-use std::io::{Read, Seek};
-use std::path::Path;
-use tiff::ColorType;
-use tiff::TiffError;
+use lobelia_geometry::{Error, Result};
+use std::{io::Read, io::Seek, path::Path};
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::{ExtraSamples, SampleFormat, Tag};
+use tiff::{ColorType, TiffError};
 
 /// Version of DNG, in its files alone.
 const DNG_VERSION: Tag = Tag::Unknown(50_706);

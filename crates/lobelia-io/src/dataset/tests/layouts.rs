@@ -1,8 +1,7 @@
 //! The other layouts: which one is recognized, test splits that are held out, and those of NeRFactor, LLFF and IDR.
 
 use super::*;
-use crate::codec::npy::Matrix;
-use crate::codec::test_data::{npy_matrix, write_npz};
+use crate::codec::{npy::Matrix, test_data::npy_matrix, test_data::write_npz};
 use glam::{DMat3, DMat4, DVec3, DVec4};
 use proptest::prelude::*;
 use zip::CompressionMethod;
