@@ -3,7 +3,7 @@
 //! The material is a `UsdPreviewSurface` in its specular workflow: F0 is given, F90 is one, and the lobe is GGX with α = roughness².
 
 use crate::codec::{file::not_written, file::write_bytes, gltf::export::check_mesh};
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use lobelia_geometry::{Result, mesh::triangles::Mesh};
 use std::{io::Cursor, io::Write as _, path::Path};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
@@ -117,79 +117,54 @@ fn stage(
     up: UpAxis,
     light: Option<UsdLight>,
 ) -> Result<String> {
-    let (Some(uvs), Some(bounds)) = (&mesh.uvs, mesh.bounds()) else {
+    let (Some(uvs), Some((low, high))) = (&mesh.uvs, mesh.bounds()) else {
         return Err(not_written(path, "the mesh has no texture coordinates or no triangles"));
     };
     let mut of_material = Vec::new();
-    if let UsdInput::Value(specular) = material.specular {
-        of_material.extend(specular.to_array());
-    }
-    if let UsdInput::Value(roughness) = material.roughness {
-        of_material.push(roughness);
-    }
-    check_mesh(path, mesh, of_material.into_iter())?;
-    let version = env!("CARGO_PKG_VERSION");
-    let mut text = format!(
-        "#usda 1.0\n(\n    defaultPrim = \"Object\"\n    doc = \"lobelia {version}\"\n    metersPerUnit = 1\n    \
-         upAxis = \"{up:?}\"\n)\n\ndef Xform \"Object\" (\n    kind = \"component\"\n)\n{{\n"
-    );
-    text += &surface(mesh, uvs, bounds);
-    text += &shaders(material);
-    text += "}\n";
-    if let Some(light) = light {
-        text += &dome(light);
-    }
-    Ok(text)
-}
-
-fn surface(mesh: &Mesh, uvs: &[Vec2], (low, high): (Vec3, Vec3)) -> String {
-    let vectors = |values: &[Vec3]| list(values.iter().map(|v| format!("({}, {}, {})", v.x, v.y, v.z)));
-    // In USD, t points up.
-    let places = list(uvs.iter().map(|uv| format!("({}, {})", uv.x, 1.0 - uv.y)));
-    let counts = list(mesh.triangles.iter().map(|_| "3".to_owned()));
-    let indices = list(mesh.triangles.iter().flatten().map(u32::to_string));
-    let (extent, points, normals) = (vectors(&[low, high]), vectors(&mesh.positions), vectors(&mesh.normals));
-    format!(
-        "    def Mesh \"Surface\" (\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n    )\n    {{\n        \
-         float3[] extent = {extent}\n        int[] faceVertexCounts = {counts}\n        \
-         int[] faceVertexIndices = {indices}\n        point3f[] points = {points}\n        \
-         normal3f[] normals = {normals} (\n            interpolation = \"vertex\"\n        )\n        \
-         texCoord2f[] primvars:st = {places} (\n            interpolation = \"vertex\"\n        )\n        \
-         uniform token subdivisionScheme = \"none\"\n        \
-         rel material:binding = </Object/Material>\n    }}\n\n"
-    )
-}
-
-fn list(items: impl Iterator<Item = String>) -> String {
-    format!("[{}]", items.collect::<Vec<_>>().join(", "))
-}
-
-fn shaders(material: &UsdMaterial) -> String {
     let mut textures = texture("Diffuse", &material.diffuse, "sRGB", "float3 outputs:rgb");
     let specular = match &material.specular {
-        UsdInput::Value(s) => format!(" = ({}, {}, {})", s.x, s.y, s.z),
+        UsdInput::Value(s) => {
+            of_material.extend(s.to_array());
+            format!(" = ({}, {}, {})", s.x, s.y, s.z)
+        }
         UsdInput::Texture(image) => {
             textures += &texture("Specular", image, "sRGB", "float3 outputs:rgb");
             ".connect = </Object/Material/Specular.outputs:rgb>".to_owned()
         }
     };
     let roughness = match &material.roughness {
-        UsdInput::Value(roughness) => format!(" = {roughness}"),
+        UsdInput::Value(roughness) => {
+            of_material.push(*roughness);
+            format!(" = {roughness}")
+        }
         UsdInput::Texture(image) => {
             textures += &texture("Roughness", image, "raw", "float outputs:r");
             ".connect = </Object/Material/Roughness.outputs:r>".to_owned()
         }
     };
-    format!(
-        "    def Material \"Material\"\n    {{\n        \
-         token outputs:surface.connect = </Object/Material/Preview.outputs:surface>\n\n        \
-         def Shader \"Preview\"\n        {{\n            uniform token info:id = \"UsdPreviewSurface\"\n            \
-         color3f inputs:diffuseColor.connect = </Object/Material/Diffuse.outputs:rgb>\n            \
-         int inputs:useSpecularWorkflow = 1\n            color3f inputs:specularColor{specular}\n            \
-         float inputs:roughness{roughness}\n            token outputs:surface\n        }}\n\n        \
-         def Shader \"Coordinates\"\n        {{\n            uniform token info:id = \"UsdPrimvarReader_float2\"\n            \
-         string inputs:varname = \"st\"\n            float2 outputs:result\n        }}\n{textures}    }}\n"
-    )
+    check_mesh(path, mesh, of_material.into_iter())?;
+    let vectors = |values: &[Vec3]| list(values.iter().map(|v| format!("({}, {}, {})", v.x, v.y, v.z)));
+    let fields = [
+        ("{version}", env!("CARGO_PKG_VERSION").to_owned()),
+        ("{up}", format!("{up:?}")),
+        ("{specular}", specular),
+        ("{roughness}", roughness),
+        ("{textures}", textures),
+        ("{extent}", vectors(&[low, high])),
+        ("{counts}", list(mesh.triangles.iter().map(|_| "3".to_owned()))),
+        ("{indices}", list(mesh.triangles.iter().flatten().map(u32::to_string))),
+        // In USD, t points up.
+        ("{places}", list(uvs.iter().map(|uv| format!("({}, {})", uv.x, 1.0 - uv.y)))),
+        ("{normals}", vectors(&mesh.normals)),
+        ("{points}", vectors(&mesh.positions)),
+    ];
+    let template = include_str!("stage.usda").to_owned();
+    let text = fields.iter().fold(template, |text, (field, value)| text.replacen(field, value, 1));
+    Ok(text + &light.map(dome).unwrap_or_default())
+}
+
+fn list(items: impl Iterator<Item = String>) -> String {
+    format!("[{}]", items.collect::<Vec<_>>().join(", "))
 }
 
 fn texture(name: &str, image: &UsdImage, space: &str, output: &str) -> String {
