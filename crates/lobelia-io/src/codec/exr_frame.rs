@@ -279,7 +279,7 @@ pub fn read_frame_layers(path: impl AsRef<Path>, layers: &[Layer]) -> Result<Fra
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::{exr::read_exr_layers, test_data::temporary};
+    use crate::codec::{exr::read_exr_layers, test_data::frame, test_data::temporary};
 
     #[test]
     fn rows_that_cannot_be_compressed_are_kept_as_they_are() {
@@ -295,24 +295,6 @@ mod tests {
         let length = std::fs::metadata(&path).unwrap().len();
         assert!((35 * 4..700).contains(&length), "{length}");
         assert_eq!(read_exr_layers(&path).unwrap().channels, layers.channels);
-    }
-
-    fn frame(width: usize, height: usize) -> Frame {
-        let vectors = |seed: usize| -> Vec<Vec3> {
-            (0..width * height).map(|i| Vec3::new(i as f32 * 0.37, seed as f32 - i as f32, 1e-30)).collect()
-        };
-        let values = |seed: usize| (0..width * height).map(|i| (i * seed) as f32 * 0.01).collect();
-        Frame {
-            width,
-            height,
-            color: vectors(1),
-            alpha: values(3),
-            diffuse: vectors(2),
-            specular: vectors(3),
-            albedo: vectors(4),
-            normal: vectors(5),
-            depth: values(7),
-        }
     }
 
     #[test]

@@ -1,16 +1,5 @@
-//! COLMAP's layout: a reconstruction in `DIR/sparse/0`, photographs in `DIR/images`, masks in `DIR/masks`.
-//!
-//! The reconstruction is `cameras` and `images`, `.bin` or `.txt`; points, rigs and frames are not needed. A camera model is a list of
-//! parameters; an image is a quaternion (w first) and a translation, both camera_from_world, OpenCV axes.
-//!
-//! The reconstruction may also be where COLMAP's own programs, nerfstudio and 3D Gaussian splatting leave it, and the photographs in a
-//! folder of another usual name; of several models the one with the most images is read. Masks may have any usual name, and be beside the
-//! photographs or in `DIR`; without a folder of masks alpha is the mask. Photographs are taken as they are stored, since COLMAP ignores
-//! their EXIF orientation. `DIR/test_id.txt` and `DIR/train_id.txt`, as of Stanford-ORB's `llff_colmap_HDR`, list the views of each split.
-//! Without the former see [`crate::dataset::DatasetOptions::hold_out`].
-//!
-//! Names in the lists are those of the model, with or without extension. A list of test views gives the test split, and the training
-//! split is that of the other list, or all other views.
+//! COLMAP's layout, as the manual's chapter on layouts tells it: a reconstruction in `DIR/sparse/0`, photographs in `DIR/images`, masks in
+//! `DIR/masks`, and lists of the splits. An image of the model is a quaternion (w first) and a translation, both camera_from_world, OpenCV axes.
 
 use crate::codec::{file::is_there, file::read_bytes, image::has_extension, nearby::missing_file_help};
 use crate::dataset::files::{

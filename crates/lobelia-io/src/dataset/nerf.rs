@@ -1,18 +1,8 @@
-//! The layout of NeRF, Blender, nerfstudio, Polycam and instant-ngp: camera files `DIR/transforms_{train,test}.json`, or one
-//! `DIR/transforms.json` for all views, and the images they name.
+//! The layout of NeRF, Blender, nerfstudio, Polycam and instant-ngp, and of Stanford-ORB's `blender_HDR`, as the manual's chapter on layouts
+//! tells it: camera files `DIR/transforms_{train,test}.json`, or one `DIR/transforms.json` for all views, and the images they name.
 //!
-//! Each frame has a `transform_matrix` (4×4 or 3×4, world_from_camera with OpenGL axes: x right, y up, z backward) and a
-//! `file_path` relative to `DIR`, with or without extension. Intrinsics are in the table below.
-//!
-//! A frame may have a `mask_path`; where none has, a folder of masks in `DIR` is read, with the folders of the images in it or without.
-//! Else alpha is the mask. Images that are not where `file_path` says are looked for in `DIR/images` and `DIR`. If there are no images, the
-//! views are cameras only and `w`, `h` are needed.
-//!
-//! Without `transforms_test.json`, `transforms_val.json` is the test split. One file for all views may have the lists `train_filenames`,
-//! `val_filenames` and `test_filenames`. Where neither gives a test split see [`crate::dataset::DatasetOptions::hold_out`]. Poses are taken
-//! as they are: `applied_transform` is not undone. Photographs are taken as they are stored, as all these programs read them.
-//!
-//! Intrinsics are at the top of the file or in a frame; those of the frame have priority.
+//! Each frame has a `transform_matrix` (4×4 or 3×4, world_from_camera with OpenGL axes: x right, y up, z backward), which is taken as it is:
+//! `applied_transform` is not undone. Intrinsics are at the top of the file or in a frame; those of the frame have priority.
 //!
 //! | fields | unit | meaning |
 //! | --- | --- | --- |
@@ -26,9 +16,6 @@
 //! | `k1` to `k4` | | radial polynomial; `k4`, `k5`, `k6` of `FULL_OPENCV` are its divisor |
 //! | `p1`, `p2` | | tangential distortion |
 //! | `distortion_params` | | nerfstudio's list of `k1` to `k4`, `p1` and `p2`, which goes before these |
-//!
-//! Stanford-ORB's `blender_HDR` and `blender_LDR` are of this layout with masks in `train_mask` and `test_mask`; `transforms_novel.json`,
-//! cameras of the same object in other places, is not read. Its `llff_colmap_HDR` and `llff_colmap_LDR` are of that of COLMAP.
 
 use crate::codec::{
     file::is_there, image::IMAGE_EXTENSIONS, image::is_unread_name, nearby::missing_file_help,
@@ -42,7 +29,7 @@ use crate::dataset::pose::Rigid;
 use crate::dataset::views::{Plan, ViewPlan, split_name};
 use lobelia_geometry::{Error, Result, view::Split};
 use serde::{Deserialize, de::IgnoredAny};
-use std::{collections::BTreeMap, path::Path, path::PathBuf};
+use std::path::{Path, PathBuf};
 
 /// The file that describes the cameras of one split.
 pub(super) fn camera_file(dir: &Path, split: Split) -> PathBuf {
@@ -301,7 +288,6 @@ impl Search<'_> {
         let moved: Vec<_> = paths.iter().map(|path| self.elsewhere("images", (*path)?)).collect();
         if let Some(folder) = moved.iter().flatten().next().and_then(|image| image.parent()) {
             self.check_complete(&moved, |path| folder.join(file_name(Path::new(path))))?;
-            self.check_apart(&moved)?;
             let (first, folder) = (quoted(first), folder.display());
             let note = format!(
                 "the images are not where {file} says, e.g. {first}; files of the same names in {folder} are read"
@@ -345,23 +331,6 @@ impl Search<'_> {
                 format!("the image {} ({}) is missing", image.display(), IMAGE_EXTENSIONS.join(", "));
             Error::input(self.file, place, problem, missing_file_help(&image))
         }))
-    }
-
-    /// Refuses two frames with one image, of which neither is where the file says.
-    fn check_apart(&self, files: &[Option<PathBuf>]) -> Result<()> {
-        let place = |index: usize| place_of(index, &self.frames[index]);
-        let mut seen = BTreeMap::new();
-        for (index, image) in files.iter().enumerate() {
-            if let Some(other) = image.as_ref().and_then(|image| seen.insert(image, index)) {
-                let problem = format!(
-                    "its image is not where the file says, and of that name there is only the one of {}",
-                    place(other)
-                );
-                let help = "Put the images into the folders that file_path names, below that of the file.";
-                return Err(Error::input(self.file, place(index), problem, help));
-            }
-        }
-        Ok(())
     }
 
     /// Refuses a folder with images of which none is named, where images are named: first of all this one.

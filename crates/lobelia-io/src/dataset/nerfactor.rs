@@ -1,16 +1,6 @@
-//! The layout of NeRFactor and of TensoIR-Synthetic: a folder for each view, `DIR/{train,test}_000/`, with its camera in `metadata.json`
-//! and its pictures under one or several lights beside it.
-//!
-//! | in `metadata.json` | unit | meaning |
-//! | --- | --- | --- |
-//! | `cam_transform_mat` | | 16 numbers in a text, with commas: the rows of world_from_camera, with OpenGL axes (x right, y up, z backward) |
-//! | `cam_angle_x` | radians | full horizontal field of view |
-//! | `imw`, `imh` | pixels | image size |
-//!
-//! The photograph is `rgba.png` (NeRFactor's), or else `rgba_sunset.png` or `rgba_sunset_000.png` (the light that TensoIR fits to), or else
-//! the only picture called `rgba_….png`; alpha is its mask. Views of the test split for which that leaves none, or a choice, are cameras
-//! only. The others are the truth of relit pictures, and `albedo.png` and `normal.png` that of the layers. Where no folder is called
-//! `test_…`, those called `val_…` are the test split.
+//! The layout of NeRFactor and of TensoIR-Synthetic, as the manual's chapter on layouts tells it: a folder for each view, with its camera in
+//! `metadata.json` and its pictures under one or several lights beside it. `cam_transform_mat` is the rows of world_from_camera, with OpenGL
+//! axes (x right, y up, z backward); `cam_angle_x` the full horizontal field of view in radians; `imw` and `imh` are pixels.
 
 use crate::codec::file::is_there;
 use crate::dataset::files::{entries, file_name, quoted, read_json};

@@ -90,11 +90,12 @@ mod tests {
     use crate::codec::npy::{NpyConvention, read_lobes, write_lobes};
     use crate::codec::{
         envmap::read_map, exr_frame::read_frame, exr_frame::write_frame, gltf::export::write_glb,
-        gltf::import::read_mesh, png_file::write_rgb8, test_data::hdr_bytes, test_data::temporary,
+        gltf::import::read_mesh, png_file::write_rgb8, test_data::frame, test_data::hdr_bytes,
+        test_data::temporary,
     };
     use glam::Vec3;
     use image::{Rgb, RgbImage};
-    use lobelia_geometry::{Result, mesh::primitive::box_mesh, view::Frame};
+    use lobelia_geometry::{Result, mesh::primitive::box_mesh};
     use lobelia_world::light::LightLobe;
     use std::path::Path;
 
@@ -108,29 +109,13 @@ mod tests {
         RgbImage::from_fn(19, 13, |x, y| Rgb([x as u8 * 13, y as u8 * 19, (x * y) as u8]))
     }
 
-    fn frame() -> Frame {
-        let (width, height) = (9, 7);
-        let colors: Vec<Vec3> = (0..width * height).map(|i| Vec3::new(0.1, 0.02 * i as f32, 0.5)).collect();
-        Frame {
-            width,
-            height,
-            color: colors.clone(),
-            diffuse: colors.clone(),
-            specular: colors.clone(),
-            albedo: colors.clone(),
-            normal: colors.clone(),
-            depth: vec![1.0; width * height],
-            alpha: vec![1.0; width * height],
-        }
-    }
-
     fn cube() -> lobelia_geometry::mesh::triangles::Mesh {
         box_mesh(Vec3::ZERO, Vec3::ONE).unwrap()
     }
 
     const WRITERS: [Writer; 4] = [
         ("a.png", |path| write_rgb8(path, &picture())),
-        ("a.exr", |path| write_frame(path, &frame())),
+        ("a.exr", |path| write_frame(path, &frame(9, 7))),
         ("a.glb", |path| write_glb(path, &cube(), None)),
         ("a.txt", |path| write_bytes(path, &[7; 20_000])),
     ];
@@ -163,7 +148,7 @@ mod tests {
         ),
         (
             "f.exr",
-            |path| write_frame(path, &frame()).unwrap(),
+            |path| write_frame(path, &frame(9, 7)).unwrap(),
             |path| shown((read_any(path)?, read_frame(path)?)),
         ),
         (

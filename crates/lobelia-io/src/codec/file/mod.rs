@@ -361,18 +361,4 @@ mod tests {
         let error = read_up_to(&path, 4, |_| String::new()).unwrap_err().to_string();
         assert!(error.contains("the file has 5 bytes, and at most 4 bytes are read"), "{error}");
     }
-
-    #[test]
-    fn texts_lose_their_byte_order_mark_and_name_bad_bytes() {
-        let (_folder, path) = temporary("text");
-        let read = |bytes: &[u8]| {
-            fs::write(&path, bytes).unwrap();
-            read_text(&path, MOST_TEXT, |_| String::new())
-        };
-        assert_eq!(read("\u{feff}grün".as_bytes()).unwrap(), "grün");
-        assert_eq!(read("grün".as_bytes()).unwrap(), "grün");
-        let error = read(b"ab\xffc").unwrap_err();
-        assert!(error.to_string().contains("byte 2: is not UTF-8 text"), "{error}");
-        assert!(read(b"\xff\xfea\0").unwrap_err().help().unwrap().contains("UTF-16"));
-    }
 }

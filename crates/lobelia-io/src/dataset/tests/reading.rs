@@ -136,19 +136,6 @@ fn images_without_camera_are_noted_and_mask_folder_may_be_replaced_by_alpha() {
 }
 
 #[test]
-fn options_are_read_from_ron() {
-    let options: DatasetOptions = ron::from_str(
-        "(layout: Nerf, gamma: Power(2.2), downscale: 2, select: Some([\"a\"]), up: (0, 0, 1))",
-    )
-    .unwrap();
-    assert_eq!((options.layout, options.gamma, options.downscale), (Layout::Nerf, Gamma::Power(2.2), 2));
-    assert_eq!((options.up, options.every, options.pixel_center), (Vec3::Z, 1, None));
-    assert!(ron::from_str::<DatasetOptions>("(downscal: 2)").is_err());
-    let text = ron::to_string(&options).unwrap();
-    assert_eq!(ron::from_str::<DatasetOptions>(&text).unwrap(), options);
-}
-
-#[test]
 fn options_out_of_range_are_refused() {
     let set = physg(1);
     let good = DatasetOptions::default;
