@@ -12,7 +12,7 @@ use lobelia_geometry::mesh::tangents::{relative_normals, texel_frames, vertex_ta
 use lobelia_geometry::mesh::{Surface, decimate::decimate, nearest::NearestTriangle, triangles::Mesh};
 use lobelia_geometry::view::{Camera, Placement, ViewName};
 use lobelia_io::codec::gltf::material::{Dielectric, GltfReflectance, GltfTable, LobeReflectance};
-use lobelia_io::codec::usd::{UpAxis, UsdImage, UsdInput, UsdLight, UsdMaterial, write_usda, write_usdz};
+use lobelia_io::codec::usd::{UpAxis, UsdImage, UsdInput, UsdMaterial, write_usda, write_usdz};
 use lobelia_io::codec::{
     envmap::write_map_hdr, file::write_bytes, gltf::export::write_glb, gltf::material::GltfMaterial,
     image::encode_png,
@@ -54,7 +54,7 @@ pub(crate) fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
             MeshFormat::Glb => write_glb(&path, &mesh, Some(&gltf(&object)?)),
             MeshFormat::Usda => {
                 // The map of the light is in the convention of three.js.
-                let light = UsdLight { file: LIGHT, turn_degrees: LIGHT_TURN };
+                let light = (LIGHT, LIGHT_TURN);
                 write_usda(&path, &mesh, &usd(&object)?, up, has_light.then_some(light))
             }
             MeshFormat::Usdz => write_usdz(&path, &mesh, &usd(&object)?, up),

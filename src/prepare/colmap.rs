@@ -11,7 +11,7 @@ use lobelia_io::codec::file::{read_bytes, write_bytes};
 use lobelia_io::codec::image::{decode, image_header};
 use lobelia_io::codec::nearby::missing_file_help;
 use lobelia_io::codec::png_file::write_gray8;
-use lobelia_io::dataset::colmap::{LargestModel, largest_model};
+use lobelia_io::dataset::colmap::largest_model;
 use std::collections::BTreeSet;
 use std::ffi::{OsStr, OsString};
 use std::fs;
@@ -134,7 +134,7 @@ impl Reconstruction<'_> {
             self.colmap(work, "matching", 100, &matching)
         })?;
         work.step("mapping", "", |work| self.map(work))?;
-        let LargestModel { folder, names, note } =
+        let (folder, names, note) =
             largest_model(&work.path("models"))?.ok_or_else(|| self.no_cameras("COLMAP made no model"))?;
         note.iter().for_each(|note| work.progress.note(note));
         if names.len() < FEWEST {

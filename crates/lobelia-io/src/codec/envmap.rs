@@ -41,7 +41,8 @@ pub fn read_map(path: impl AsRef<Path>) -> Result<EnvironmentMap> {
 pub fn read_map_with_notes(path: impl AsRef<Path>) -> Result<(EnvironmentMap, Vec<String>)> {
     let path = path.as_ref();
     let wrong = |problem: String, help: &str| Error::input(path, "", problem, help);
-    let Decoded { header, width, height, samples } = decode_samples(path, Orientation::AsStored)?;
+    let Decoded { header, samples } = decode_samples(path, Orientation::AsStored)?;
+    let (width, height) = (header.width, header.height);
     let ImageSamples::Floats(samples) = samples else {
         let problem = format!("is {}, neither OpenEXR nor Radiance HDR", header.format.name());
         return Err(wrong(problem, EXPORT_HELP));

@@ -230,9 +230,6 @@ pub enum Layer {
 }
 
 impl Layer {
-    /// All of them.
-    pub const ALL: [Self; 4] = [Self::Diffuse, Self::Specular, Self::Albedo, Self::Normal];
-
     /// Its channels, and its place in a frame.
     fn of(self, frame: &mut Frame) -> (&'static [&'static str], &mut Vec<Vec3>) {
         match self {
@@ -250,7 +247,8 @@ impl Layer {
 /// As for [`read_frame_layers`].
 pub fn read_frame(path: impl AsRef<Path>) -> Result<Frame> {
     let path = path.as_ref();
-    let mut frame = read_frame_layers(path, &Layer::ALL)?;
+    let layers = [Layer::Diffuse, Layer::Specular, Layer::Albedo, Layer::Normal];
+    let mut frame = read_frame_layers(path, &layers)?;
     frame.depth = read_exr_groups(path, &[&[DEPTH]])?.1.swap_remove(0);
     Ok(frame)
 }

@@ -111,9 +111,9 @@ impl PngRows<'_> {
 /// # Errors
 /// As for [`decode_samples`]; [`Error::Input`] if it is another kind of picture.
 pub(crate) fn read_rgb8(path: &Path) -> Result<RgbImage> {
-    let Decoded { width, height, samples, .. } = decode_samples(path, Orientation::AsStored)?;
+    let Decoded { header, samples } = decode_samples(path, Orientation::AsStored)?;
     let picture = match samples {
-        ImageSamples::Bytes8(samples) => RgbImage::from_raw(width, height, samples),
+        ImageSamples::Bytes8(samples) => RgbImage::from_raw(header.width, header.height, samples),
         _ => None,
     };
     picture.ok_or_else(|| Error::input(path, "", "it is not 8-bit RGB", "Render it again."))

@@ -49,16 +49,8 @@ pub enum UpAxis {
     Z,
 }
 
-/// An image of the light for a `DomeLight`, and how far it is turned about Y.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct UsdLight<'a> {
-    /// File name, beside the USD file.
-    pub file: &'a str,
-    /// Rotation about +Y in degrees from USD's convention: the middle of the image at +Z, the quarter from the left at +X.
-    pub turn_degrees: f32,
-}
-
-/// Writes `path` (`.usda`) and the textures beside it.
+/// Writes `path` (`.usda`) and the textures beside it. Of a `light` there are the file name of its image, beside the USD file, and its rotation
+/// about +Y in degrees from USD's convention: the middle of the image at +Z, the quarter from the left at +X.
 ///
 /// # Errors
 /// [`Error::Run`](lobelia_geometry::Error::Run) for a mesh without texture coordinates, or a number that is not finite; [`Error::Io`](lobelia_geometry::Error::Io) if a file cannot be written.
@@ -67,7 +59,7 @@ pub fn write_usda(
     mesh: &Mesh,
     material: &UsdMaterial,
     up: UpAxis,
-    light: Option<UsdLight>,
+    light: Option<(&str, f32)>,
 ) -> Result<()> {
     let text = stage(path, mesh, material, up, light)?;
     for image in material.images() {
@@ -115,7 +107,7 @@ fn stage(
     mesh: &Mesh,
     material: &UsdMaterial,
     up: UpAxis,
-    light: Option<UsdLight>,
+    light: Option<(&str, f32)>,
 ) -> Result<String> {
     let (Some(uvs), Some((low, high))) = (&mesh.uvs, mesh.bounds()) else {
         return Err(not_written(path, "the mesh has no texture coordinates or no triangles"));
@@ -177,12 +169,11 @@ fn texture(name: &str, image: &UsdImage, space: &str, output: &str) -> String {
     )
 }
 
-fn dome(light: UsdLight) -> String {
+fn dome((file, turn_degrees): (&str, f32)) -> String {
     format!(
-        "\ndef DomeLight \"Light\"\n{{\n    asset inputs:texture:file = @{}@\n    \
-         token inputs:texture:format = \"latlong\"\n    float xformOp:rotateY = {}\n    \
-         uniform token[] xformOpOrder = [\"xformOp:rotateY\"]\n}}\n",
-        light.file, light.turn_degrees
+        "\ndef DomeLight \"Light\"\n{{\n    asset inputs:texture:file = @{file}@\n    \
+         token inputs:texture:format = \"latlong\"\n    float xformOp:rotateY = {turn_degrees}\n    \
+         uniform token[] xformOpOrder = [\"xformOp:rotateY\"]\n}}\n"
     )
 }
 
@@ -211,7 +202,7 @@ mod tests {
     }
 
     /// The stage of the block with this material, written into `folder`.
-    fn written(folder: &Path, material: &UsdMaterial, up: UpAxis, light: Option<UsdLight>) -> String {
+    fn written(folder: &Path, material: &UsdMaterial, up: UpAxis, light: Option<(&str, f32)>) -> String {
         let path = folder.join("mesh.usda");
         write_usda(&path, &block(), material, up, light).unwrap();
         std::fs::read_to_string(path).unwrap()
@@ -225,8 +216,7 @@ mod tests {
             roughness: UsdInput::Value(0.25),
             ..textured()
         };
-        let light = UsdLight { file: "light.hdr", turn_degrees: 90.0 };
-        let text = written(folder.path(), &plain, UpAxis::Z, Some(light));
+        let text = written(folder.path(), &plain, UpAxis::Z, Some(("light.hdr", 90.0)));
         for line in [
             "#usda 1.0",
             "upAxis = \"Z\"",

@@ -121,27 +121,21 @@ impl DatasetOptions {
     }
 }
 
-/// One split of a data set, as read.
+/// One split of a data set.
 #[derive(Clone, Debug)]
-pub struct LoadedDataset {
+pub struct Views<View> {
     /// The views, in natural name order (`r_2` before `r_10`).
-    pub views: Vec<ViewRecord>,
+    pub views: Vec<View>,
     /// The layout that was found; never `Auto`.
     pub layout: Layout,
     /// Notes for the user: repairs and omissions, with counts.
     pub notes: Vec<String>,
 }
 
-/// A split of a data set whose views are known and not read.
-#[derive(Clone, Debug)]
-pub struct OpenDataset {
-    /// The views, in natural name order (`r_2` before `r_10`).
-    pub views: Vec<PlannedView>,
-    /// The layout that was found; never `Auto`.
-    pub layout: Layout,
-    /// Notes for the user about all views.
-    pub notes: Vec<String>,
-}
+/// A split whose views are read.
+pub type LoadedDataset = Views<ViewRecord>;
+/// A split whose views are known and not read.
+pub type OpenDataset = Views<PlannedView>;
 
 /// Opens a split of the data set in folder `dir`: reads camera files and looks for photographs and masks, but reads none of these.
 ///

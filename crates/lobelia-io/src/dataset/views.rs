@@ -72,7 +72,7 @@ impl ViewPlan {
     fn mask(&self, picture: Option<&Picture>, [width, height]: [u32; 2]) -> Result<Option<Mask>> {
         let alpha = || picture.and_then(Picture::alpha);
         let mask = match &self.mask {
-            Some(path) => Some(read_mask(path, Orientation::AsStored)?.mask),
+            Some(path) => Some(read_mask(path, Orientation::AsStored)?),
             None => alpha().map(|coverage| Mask { width, height, coverage }),
         };
         if mask.as_ref().is_some_and(|mask| mask.coverage.iter().all(|&coverage| coverage == 0.0)) {

@@ -1,15 +1,6 @@
 //! Reading and writing of whole files: reading has errors that name the problem, and writing never leaves an incomplete file under
 //! its final name. What is not a regular file (a pipe, a device) is refused before it is opened, because it might never end, and
 //! so is what is larger than its kind can be.
-//!
-//! | function | does |
-//! | --- | --- |
-//! | [`open`], [`read_bytes`] | read |
-//! | [`write_bytes`] | writes, all or nothing |
-//! | [`check_writable`] | says before the work whether results can be written |
-//! | [`check_apart`] | says whether what is written is something that is read |
-//! | [`DiskFile`] | the one file through which all of this goes |
-//! | [`FolderLock`] | keeps two processes from writing into one folder |
 
 #[doc(hidden)]
 pub mod faults;

@@ -1,7 +1,7 @@
 //! Decoded samples as linear radiance, with the repair of float pixels that are NaN, infinite, absurdly bright or negative, and as masks: the coverage
 //! of each pixel, from gray values, labels or alpha.
 
-use crate::codec::image::format::{Format, ImageSamples, Orientation};
+use crate::codec::image::format::{Format, ImageHeader, ImageSamples, Orientation};
 use crate::codec::image::{Decoded, decode_samples};
 use glam::Vec3;
 use lobelia_geometry::{Error, Result, view::Image, view::Mask};
@@ -94,7 +94,7 @@ pub fn decode_photograph(path: impl AsRef<Path>, orientation: Orientation) -> Re
 
 /// Samples as linear light.
 pub fn linear_image(decoded: &Decoded, repairs: Repairs, gamma: Gamma) -> LoadedImage {
-    let Decoded { header, width, height, .. } = *decoded;
+    let header @ ImageHeader { width, height, .. } = decoded.header;
     let count = width as usize * height as usize;
     let mut loaded = LoadedImage {
         image: Image { width, height, pixels: Vec::with_capacity(count) },
@@ -195,43 +195,41 @@ fn repaired(path: &Path, orientation: Orientation) -> Result<(Decoded, Repairs)>
     Ok((decoded, repairs))
 }
 
-/// A mask as read from its file.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LoadedMask {
-    /// Coverage of each pixel.
-    pub mask: Mask,
-    /// The stored value, as a share of the highest storable one, that means full coverage: 1, or less in masks stored as 0 and 1
-    /// or 0 and 127 of 255, or in a dark color, whose coverage is scaled.
-    pub full: f32,
-}
-
 /// The greatest gray value that is taken for the number of a label, not for coverage.
 const GREATEST_LABEL: u32 = 31;
 /// The greatest number of colors of a picture of labels, without black.
 const MOST_LABELS: usize = 16;
 
 /// Reads a mask: the stored luma (not linearized) divided by the highest storable value. If all that is covered is of one lower
-/// value (1 or 127 of 255, or one color), that value is full coverage: see [`LoadedMask::full`]. A palette's colors count, not
+/// value (1 or 127 of 255, or one color), that value is full coverage, and others are scaled. A palette's colors count, not
 /// its indices. Alpha is the mask if it varies while the colors do not, or if the colors are those of a cut-out photograph. In
 /// float formats the mask is alpha, if any, else luminance, clamped to `[0, 1]`.
 ///
 /// # Errors
 /// [`Error::Input`] if the file is missing, not an image that is read, too large or damaged, if a float mask has NaN or infinite values, or
 /// if the mask has labels of several objects.
-pub fn read_mask(path: impl AsRef<Path>, orientation: Orientation) -> Result<LoadedMask> {
+pub fn read_mask(path: impl AsRef<Path>, orientation: Orientation) -> Result<Mask> {
     let path = path.as_ref();
     let decoded = decode_samples(path, orientation)?;
-    let (width, height, channels) = (decoded.width, decoded.height, decoded.header.channels);
+    let ImageHeader { format, width, height, channels, .. } = decoded.header;
     // Compression changes the values of a JPEG a little: they say neither labels nor that one value is full.
-    let is_exact = decoded.header.format != Format::Jpeg;
-    let coverage = match &decoded.samples {
+    let is_exact = format != Format::Jpeg;
+    let mut coverage = match &decoded.samples {
         ImageSamples::Bytes8(samples) => of_integers(path, samples, channels, 255, is_exact)?,
         ImageSamples::Words16(samples) => of_integers(path, samples, channels, 65_535, is_exact)?,
         ImageSamples::Floats(samples) => of_floats(path, samples, channels, width)?,
     };
     drop(decoded.samples);
-    let (coverage, full) = scaled_to_full(coverage, is_exact);
-    Ok(LoadedMask { mask: Mask { width, height, coverage }, full })
+    let greatest = coverage.iter().copied().fold(0.0, f32::max);
+    let covered = coverage.iter().filter(|&&c| c > 0.0).count();
+    let near = coverage.iter().filter(|&&c| c >= 0.9 * greatest).count();
+    // Noise of a black JPEG is no object.
+    let is_noise = !is_exact && greatest < 0.2;
+    // Nearly all covered pixels are of one lower value.
+    if covered > 0 && greatest < 1.0 && !is_noise && 2 * near >= covered {
+        coverage.iter_mut().for_each(|c| *c = (*c / greatest).min(1.0));
+    }
+    Ok(Mask { width, height, coverage })
 }
 
 fn of_floats(path: &Path, samples: &[f32], channels: usize, width: u32) -> Result<Vec<f32>> {
@@ -311,19 +309,6 @@ fn check_labels(path: &Path, colors: &[[u32; 3]]) -> Result<()> {
     };
     let help = "Write a mask that is white where the object is, black elsewhere.";
     Err(Error::input(path, "", format!("the mask has {what}: labels of several objects?"), help))
-}
-
-/// Coverage scaled so that the one value of which nearly all covered pixels are is 1, and that value.
-fn scaled_to_full(coverage: Vec<f32>, is_exact: bool) -> (Vec<f32>, f32) {
-    let greatest = coverage.iter().copied().fold(0.0, f32::max);
-    let covered = coverage.iter().filter(|&&c| c > 0.0).count();
-    let near = coverage.iter().filter(|&&c| c >= 0.9 * greatest).count();
-    // Noise of a black JPEG is no object.
-    let is_noise = !is_exact && greatest < 0.2;
-    if covered == 0 || greatest >= 1.0 || is_noise || 2 * near < covered {
-        return (coverage, 1.0);
-    }
-    (coverage.into_iter().map(|c| (c / greatest).min(1.0)).collect(), greatest)
 }
 
 /// Rec. 709 luma; exactly the value itself for grays.

@@ -16,8 +16,7 @@ pub use format::{
     Format, IMAGE_EXTENSIONS, ImageHeader, ImageSamples, Orientation, is_unread_name, is_video_start,
 };
 pub use linear::{
-    BRIGHTEST, Gamma, LoadedImage, LoadedMask, Repairs, decode_photograph, linear_image, read_image,
-    read_mask,
+    BRIGHTEST, Gamma, LoadedImage, Repairs, decode_photograph, linear_image, read_image, read_mask,
 };
 
 use crate::codec::file::{DiskFile, first_bytes, open};
@@ -77,35 +76,15 @@ const JPEG_HEADER_BYTES: [usize; 2] = [1 << 18, 1 << 24];
 /// An image whose samples are as the file has them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decoded {
-    /// The header; its size is as stored.
+    /// The header; its size is that after turning, if the pixels are turned, and its orientation that which is left.
     pub header: ImageHeader,
-    /// Width in pixels, after turning.
-    pub width: u32,
-    /// Height in pixels, after turning.
-    pub height: u32,
-    /// `width * height` times `header.channels` samples.
+    /// `width * height` times `channels` samples.
     pub samples: ImageSamples,
-}
-
-impl Decoded {
-    /// Turned as EXIF asks.
-    fn upright(self) -> Self {
-        let samples = match self.samples {
-            ImageSamples::Bytes8(samples) => ImageSamples::Bytes8(turned(samples, &self.header)),
-            ImageSamples::Words16(samples) => ImageSamples::Words16(turned(samples, &self.header)),
-            ImageSamples::Floats(samples) => ImageSamples::Floats(turned(samples, &self.header)),
-        };
-        let [width, height] = self.header.size(Orientation::Upright);
-        Self { header: self.header, width, height, samples }
-    }
 }
 
 /// The samples of an image with this header, turned by its EXIF orientation.
 fn turned<T: Copy>(samples: Vec<T>, header: &ImageHeader) -> Vec<T> {
     let ImageHeader { exif, channels, .. } = *header;
-    if !(2..=8).contains(&exif) {
-        return samples;
-    }
     let (w, h) = (header.width as usize, header.height as usize);
     let (columns, rows) = if exif >= 5 { (h, w) } else { (w, h) };
     let mut out = Vec::with_capacity(samples.len());
@@ -225,11 +204,16 @@ pub fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -> Resul
         }
         format => samples_of(path, &header, decoder(path, format, file)?)?,
     };
-    let decoded = Decoded { header, width: header.width, height: header.height, samples };
-    Ok(match orientation {
-        Orientation::AsStored => decoded,
-        Orientation::Upright => decoded.upright(),
-    })
+    if orientation == Orientation::AsStored || !(2..=8).contains(&header.exif) {
+        return Ok(Decoded { header, samples });
+    }
+    let samples = match samples {
+        ImageSamples::Bytes8(samples) => ImageSamples::Bytes8(turned(samples, &header)),
+        ImageSamples::Words16(samples) => ImageSamples::Words16(turned(samples, &header)),
+        ImageSamples::Floats(samples) => ImageSamples::Floats(turned(samples, &header)),
+    };
+    let [width, height] = header.size(orientation);
+    Ok(Decoded { header: ImageHeader { width, height, exif: 1, ..header }, samples })
 }
 
 /// The samples of a decoder's image, if they are those of its header.
