@@ -77,12 +77,7 @@ pub(crate) fn decode_exr_picture(path: &Path, source: impl Read + Seek) -> Resul
 /// [`Error::Input`] if the file is missing, not an EXR, damaged, truncated, deep, chroma-subsampled, or empty.
 pub fn read_exr_layers(path: impl AsRef<Path>) -> Result<ExrLayers> {
     let path = path.as_ref();
-    decode_exr(path, open(path, missing_file_help)?)
-}
-
-/// [`read_exr_layers`] of a file already open; `path` is for messages.
-fn decode_exr(path: &Path, source: impl Read + Seek) -> Result<ExrLayers> {
-    let contents = Contents::open(path, source)?;
+    let contents = Contents::open(path, open(path, missing_file_help)?)?;
     let [width, height] = contents.size().map(|side| side as u32);
     let (names, places): (Vec<String>, Vec<Vec<Place>>) =
         contents.channels.iter().map(|(name, place)| (name.clone(), vec![*place])).unzip();
@@ -276,6 +271,7 @@ fn exr_error(path: &Path, error: &exr::error::Error) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::test_data::temporary;
     use exr::image::{AnyChannel, FlatSamples};
     use exr::prelude::{
         AnyChannels, Encoding, Image, ImageAttributes, Layer, LayerAttributes, Layers, WritableImage,
@@ -317,14 +313,16 @@ mod tests {
     fn parts_are_laid_out_on_the_display_window() {
         let window = IntegerBounds::new((0, 0), (3, 2));
         let bytes = file_of_parts(&[("one", Vec2(-1, 0), 2.0), ("two", Vec2(2, 1), 5.0)], window);
-        let layers = decode_exr(Path::new("parts.exr"), Cursor::new(&bytes)).unwrap();
+        let (_folder, path) = temporary("parts.exr");
+        std::fs::write(&path, &bytes).unwrap();
+        let layers = read_exr_layers(&path).unwrap();
         assert_eq!((layers.width, layers.height), (3, 2));
         assert_eq!(layers.channels["one.R"], [2.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
         assert_eq!(layers.channels["two.B"], [0.0, 0.0, 0.0, 0.0, 0.0, 5.0]);
         assert!(layers.channels.keys().eq(["one.B", "one.G", "one.R", "two.B", "two.G", "two.R"]));
-        let samples = decode_exr_picture(Path::new("parts.exr"), Cursor::new(&bytes)).unwrap();
+        let samples = decode_exr_picture(&path, Cursor::new(&bytes)).unwrap();
         assert_eq!(samples[..6], [2.0, 2.0, 2.0, 0.0, 0.0, 0.0]);
-        let header = exr_header(Path::new("parts.exr"), Cursor::new(&bytes)).unwrap();
+        let header = exr_header(&path, Cursor::new(&bytes)).unwrap();
         assert_eq!((header.width, header.height, header.channels, header.bits), (3, 2, 3, 32));
     }
 
@@ -332,7 +330,7 @@ mod tests {
     fn absurd_sizes_are_refused_before_memory_is_taken() {
         let window = IntegerBounds::new((0, 0), (60_000, 60_000));
         let bytes = file_of_parts(&[("a", Vec2(0, 0), 1.0)], window);
-        let error = decode_exr(Path::new("huge.exr"), Cursor::new(&bytes)).unwrap_err();
+        let error = exr_header(Path::new("huge.exr"), Cursor::new(&bytes)).unwrap_err();
         assert!(error.to_string().contains("60000×60000"), "{error}");
     }
 }

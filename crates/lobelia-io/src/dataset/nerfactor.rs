@@ -86,17 +86,14 @@ fn photograph(folder: &Path) -> Result<PathBuf> {
     let mut others: Vec<String> = entries(folder).map(|path| file_name(&path)).filter(is_other).collect();
     others.sort();
     let [usual, sunset, _] = PHOTOGRAPHS;
-    match others.as_slice() {
-        [only] => Ok(folder.join(only)),
-        [] => {
-            let problem = format!("the photograph of this view is missing: there is no {usual}");
-            Err(Error::input(folder.join(usual), "", problem, "It is a PNG with alpha."))
-        }
-        several => {
-            let problem = format!("which is the photograph? There are {}", several.join(", "));
-            let help =
-                format!("Name the one to fit to {usual} in each folder; {sunset} would be taken, too.");
-            Err(Error::input(folder, "", problem, help))
-        }
+    if let [only] = others.as_slice() {
+        return Ok(folder.join(only));
     }
+    let list = if others.is_empty() { "none".to_owned() } else { others.join(", ") };
+    let problem =
+        format!("the photograph of this view is missing: there is no {usual}, and of other lights {list}");
+    let help = format!(
+        "Name the one to fit to {usual} in each folder; {sunset} would be taken, too. It is a PNG with alpha."
+    );
+    Err(Error::input(folder, "", problem, help))
 }
