@@ -51,7 +51,7 @@ pub struct Matrix {
 /// # Errors
 /// The problem, as the rest of a sentence that starts with the name of the file.
 pub(crate) fn parse_matrix(bytes: &[u8]) -> Result<Matrix, String> {
-    let (Header { descr, is_fortran, shape }, data) = split(bytes)?;
+    let ((descr, is_fortran, shape), data) = split(bytes)?;
     let [rows, columns] = shape[..] else {
         return Err(format!("has shape {shape:?}, not that of a matrix"));
     };
@@ -86,7 +86,7 @@ pub fn read_lobes(path: impl AsRef<Path>, convention: NpyConvention) -> Result<V
     // More than a header and the most rows are read only to say that there are more.
     let bytes = read_up_to(path, MOST_FILE_BYTES, |_| "check the path of the lobes".to_owned())?;
     let bad = |problem: String| Error::input(path, "", problem, HELP);
-    let shape = split(&bytes).map_err(bad)?.0.shape;
+    let ((_, _, shape), _) = split(&bytes).map_err(bad)?;
     match shape[..] {
         [0, 5 | 7] => return Err(bad("has no rows, so there are no lobes".to_owned())),
         [rows, 5 | 7] if rows > MOST_LOBES => {
@@ -153,16 +153,8 @@ fn lobe_of_row(path: &Path, row: usize, v: &[f64], convention: NpyConvention) ->
     })
 }
 
-/// The header of an array.
-#[derive(Debug, PartialEq)]
-struct Header<'a> {
-    /// The type of the values in NumPy's short form, e.g. `<f4`.
-    descr: &'a str,
-    /// True if the first index runs fastest.
-    is_fortran: bool,
-    /// Lengths of the array.
-    shape: Vec<usize>,
-}
+/// The header of an array: the type of the values in NumPy's short form, e.g. `<f4`; whether the first index runs fastest; and its lengths.
+type Header<'a> = (&'a str, bool, Vec<usize>);
 
 /// The header, and the bytes after it.
 fn split(bytes: &[u8]) -> Result<(Header<'_>, &[u8]), String> {
@@ -188,7 +180,7 @@ fn dictionary(text: &str) -> Option<Header<'_>> {
     let lengths = lengths.split(',').map(str::trim).filter(|length| !length.is_empty());
     // Python 2 marks long numbers by an L.
     let shape = lengths.map(|length| length.trim_end_matches('L').parse().ok()).collect::<Option<_>>()?;
-    (is_fortran || order.starts_with("False")).then_some(Header { descr, is_fortran, shape })
+    (is_fortran || order.starts_with("False")).then_some((descr, is_fortran, shape))
 }
 
 /// An `.npz` file whose matrices are read one by one.
@@ -349,7 +341,7 @@ mod tests {
         for (version, text) in
             (1..=3).flat_map(|version| [good, others[0], others[1]].map(|text| (version, text)))
         {
-            let expected = Header { descr: "<f4", is_fortran: true, shape: vec![3, 7] };
+            let expected = ("<f4", true, vec![3, 7]);
             assert_eq!(split(&file_of(version, text)), Ok((expected, &b"ab"[..])));
         }
         for bad in [

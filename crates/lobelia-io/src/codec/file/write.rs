@@ -23,7 +23,7 @@ pub fn write_file(path: &Path, write: impl FnOnce(&mut BufWriter<DiskFile>) -> R
     let builder = builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let made = builder.tempfile_in(folder).map_err(Error::io("create a file in", folder))?;
     let (file, temporary) = made.into_parts();
-    let mut writer = BufWriter::new(DiskFile::new(file, path));
+    let mut writer = BufWriter::new(DiskFile { file, path: path.to_owned() });
     write(&mut writer)?;
     let file = writer.into_inner().map_err(|failed| Error::io("write", path)(failed.into_error()))?;
     // After a power cut there is the old file or the new one, never an empty one.
