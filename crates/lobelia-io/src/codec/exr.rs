@@ -3,7 +3,7 @@
 use crate::codec::{file::open, image::Format, image::ImageHeader, nearby::missing_file_help};
 use exr::block::reader::{ChunksReader, Reader};
 use exr::meta::attribute::{IntegerBounds, SampleType};
-use exr::{math::Vec2, meta::header::Header, prelude::f16};
+use exr::{error::Error as ExrError, math::Vec2, meta::header::Header, prelude::f16};
 use glam::Vec3;
 use lobelia_geometry::{Error, Result};
 use std::io::{Read, Seek, SeekFrom};
@@ -165,7 +165,7 @@ impl<'p, R: Read + Seek> Contents<'p, R> {
         let ([width, height], corner) = (self.size(), self.window.position);
         let mut buffers: Vec<Vec<f32>> =
             groups.iter().map(|group| vec![0.0; width * height * group.len()]).collect();
-        let damaged = |error: exr::error::Error| exr_error(self.path, &error);
+        let damaged = |error: ExrError| exr_error(self.path, &error);
         let is_wanted = |layer: usize| groups.iter().flatten().any(|place| place.0 == layer);
         let largest = Vec2(0, 0);
         let chunks = self
@@ -204,13 +204,11 @@ impl<'p, R: Read + Seek> Contents<'p, R> {
 }
 
 /// Samples of this type as floats.
-fn floats(bytes: &[u8], kind: SampleType) -> Vec<f32> {
+fn floats(raw: &[u8], kind: SampleType) -> Vec<f32> {
     match kind {
-        SampleType::F16 => {
-            bytes.as_chunks().0.iter().map(|half| f16::from_ne_bytes(*half).to_f32()).collect()
-        }
-        SampleType::F32 => bytes.as_chunks().0.iter().map(|float| f32::from_ne_bytes(*float)).collect(),
-        SampleType::U32 => bytes.as_chunks().0.iter().map(|uint| u32::from_ne_bytes(*uint) as f32).collect(),
+        SampleType::F16 => raw.as_chunks().0.iter().map(|half| f16::from_ne_bytes(*half).to_f32()).collect(),
+        SampleType::F32 => raw.as_chunks().0.iter().map(|float| f32::from_ne_bytes(*float)).collect(),
+        SampleType::U32 => raw.as_chunks().0.iter().map(|uint| u32::from_ne_bytes(*uint) as f32).collect(),
     }
 }
 
@@ -256,11 +254,9 @@ fn unusable(path: &Path, problem: impl Into<String>) -> Error {
     Error::input(path, "", problem, help)
 }
 
-fn exr_error(path: &Path, error: &exr::error::Error) -> Error {
+fn exr_error(path: &Path, error: &ExrError) -> Error {
     match error {
-        exr::error::Error::NotSupported(what) => {
-            unusable(path, format!("this kind of EXR cannot be read: {what}"))
-        }
+        ExrError::NotSupported(what) => unusable(path, format!("this kind of EXR cannot be read: {what}")),
         other => {
             let problem = format!("the EXR is damaged or truncated: {other}");
             Error::input(path, "", problem, "Copy or render the file again.")

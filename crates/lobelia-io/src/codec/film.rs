@@ -40,8 +40,7 @@ fn write_by(program: &OsStr, stem: &Path, frames: &[PathBuf], fps: u32) -> Resul
 
 /// Writes an MP4; `false` if there is no such program.
 fn write_mp4(program: &OsStr, path: &Path, frames: &[PathBuf], fps: u32) -> Result<bool> {
-    let failed =
-        |problem: String| Error::run(format!("{} of {}", program.display(), path.display()), problem);
+    let failed = |why: String| Error::run(format!("{} of {}", program.display(), path.display()), why);
     let first = frames.first().ok_or_else(|| failed("a film needs at least one frame".into()))?;
     let size = even(&png_file::read_rgb8(first)?).dimensions();
     // The program works in a folder of its own: no path is taken for an option or a protocol.

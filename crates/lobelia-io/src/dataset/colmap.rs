@@ -62,9 +62,8 @@ impl Place {
     fn find(dir: &Path) -> Option<Self> {
         let place = |(models, photographs): &(&str, &str)| {
             let models = dir.join(models);
-            let numbered = numbered_models(&models);
-            let models =
-                if numbered.is_empty() { image_file(&models).into_iter().collect() } else { numbered };
+            let several = numbered_models(&models);
+            let models = if several.is_empty() { image_file(&models).into_iter().collect() } else { several };
             Self::new(models, dir.join(photographs))
         };
         // A folder of numbered models alone is that in which COLMAP puts them.
@@ -211,8 +210,7 @@ fn read_lists(dir: &Path) -> Result<Vec<SplitList>> {
             return Err(Error::input(&file, "", "the list has no names of views", help));
         }
         let others = lists.iter().flat_map(|list| &list.names);
-        let others: BTreeMap<String, &String> =
-            others.map(|(name, place)| (image_key(name), place)).collect();
+        let others: BTreeMap<_, _> = others.map(|(name, place)| (image_key(name), place)).collect();
         if let Some((name, place)) = names.iter().find(|(name, _)| others.contains_key(&image_key(name))) {
             let problem =
                 format!("{} is in train_id.txt as well, {}", quoted(name), others[&image_key(name)]);
@@ -258,8 +256,7 @@ fn lens_of(model: &str, size: [u64; 2], parameters: &[f64]) -> Result<Lens, Trou
     };
     let (focal, rest) = parameters.split_at(focals);
     let (center, coefficients) = rest.split_at(2);
-    let coefficient =
-        |name: &str| names.iter().position(|known| *known == name).map_or(0.0, |n| coefficients[n]);
+    let coefficient = |name: &str| names.iter().position(|own| *own == name).map_or(0.0, |n| coefficients[n]);
     let lens = Lens {
         size: Some([width, height]),
         distortion: Distortion::of_model(model, coefficient),

@@ -25,15 +25,13 @@ const MARKS: [(Layout, &str); 7] = [
 
 /// Whether a layout is not read in a folder that has these.
 fn yields(layout: Layout, dir: &Path, there: &[Layout]) -> bool {
-    let has_one = |of: &[Layout]| of.iter().any(|other| there.contains(other));
+    let has = |of: &[Layout]| of.iter().any(|other| there.contains(other));
     match layout {
         // The scripts that render sets of NeRFactor write files of NeRF's form beside the folders, whose paths lack the light.
-        Layout::Nerf => has_one(&[Layout::StanfordOrb, Layout::Nerfactor]),
+        Layout::Nerf => has(&[Layout::StanfordOrb, Layout::Nerfactor]),
         // The poses of public data of LLFF and mip-NeRF 360 are computed from the model, which has lens distortion as well.
-        Layout::Llff => has_one(&[Layout::Colmap]) && !colmap::is_for_the_record(dir),
-        Layout::Colmap => {
-            has_one(&[Layout::Llff, Layout::Nerf, Layout::Idr]) && colmap::is_for_the_record(dir)
-        }
+        Layout::Llff => has(&[Layout::Colmap]) && !colmap::is_for_the_record(dir),
+        Layout::Colmap => has(&[Layout::Llff, Layout::Nerf, Layout::Idr]) && colmap::is_for_the_record(dir),
         _ => false,
     }
 }
@@ -158,8 +156,7 @@ pub(super) fn find_with_note(
     if asked != Layout::Auto {
         return Ok((asked, None));
     }
-    let there: Vec<Layout> =
-        MARKS.map(|(layout, _)| layout).into_iter().filter(|of| of.is_there(dir)).collect();
+    let there: Vec<Layout> = MARKS.iter().map(|mark| mark.0).filter(|of| of.is_there(dir)).collect();
     let found: Vec<Layout> = there.iter().copied().filter(|layout| !yields(*layout, dir, &there)).collect();
     match found.as_slice() {
         [layout] => {
@@ -193,9 +190,7 @@ fn near_miss(dir: &Path) -> Option<String> {
     }
     let mut inside: Vec<PathBuf> = entries(dir).collect();
     inside.sort();
-    let is_data = |path: &Path| {
-        MARKS.map(|(layout, _)| layout).into_iter().find(|layout| path.is_dir() && layout.is_there(path))
-    };
+    let is_data = |path: &Path| MARKS.iter().map(|mark| mark.0).find(|of| path.is_dir() && of.is_there(path));
     if let Some((path, layout)) = inside.iter().find_map(|path| Some((path.display(), is_data(path)?))) {
         return Some(format!("{path} is a data set (layout {layout:?}): give that folder."));
     }

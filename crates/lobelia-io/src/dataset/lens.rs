@@ -16,7 +16,7 @@ use crate::dataset::pose::check_matrix;
 use glam::{Affine3A, DMat2, DVec2};
 use lobelia_geometry::view::raster::{Tap, bilinear};
 use lobelia_geometry::view::{Camera, Image, Mask};
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Range of focal lengths, as multiples of the larger side of the image: fields of view between 0.006° and 179°.
 const FOCAL_RANGE: [f64; 2] = [0.005, 10_000.0];
@@ -187,14 +187,10 @@ impl Lens {
 fn focal_pixels(focal: Focal, extent: u32, size: [u32; 2]) -> Result<f64, String> {
     let pixels = match focal {
         Focal::Pixels(pixels) if pixels > 0.0 && pixels.is_finite() => pixels,
-        Focal::Pixels(pixels) => {
-            return Err(format!("a focal length is {pixels} pixels; it must be above 0"));
-        }
-        Focal::Angle(angle) if angle > 0.0 && angle < std::f64::consts::PI => {
-            0.5 * f64::from(extent) / (0.5 * angle).tan()
-        }
-        Focal::Angle(angle) => {
-            return Err(format!("a field of view is {angle} radians; it must lie between 0 and π"));
+        Focal::Pixels(of) => return Err(format!("a focal length is {of} pixels; it must be above 0")),
+        Focal::Angle(angle) if angle > 0.0 && angle < PI => 0.5 * f64::from(extent) / (0.5 * angle).tan(),
+        Focal::Angle(of) => {
+            return Err(format!("a field of view is {of} radians; it must lie between 0 and π"));
         }
     };
     let [width, height] = size;

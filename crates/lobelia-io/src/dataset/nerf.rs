@@ -17,9 +17,8 @@
 //! | `p1`, `p2` | | tangential distortion |
 //! | `distortion_params` | | nerfstudio's list of `k1` to `k4`, `p1` and `p2`, which goes before these |
 
-use crate::codec::{
-    file::is_there, image::IMAGE_EXTENSIONS, image::is_unread_name, nearby::missing_file_help,
-};
+use crate::codec::image::{IMAGE_EXTENSIONS, is_unread_name};
+use crate::codec::{file::is_there, nearby::missing_file_help};
 use crate::dataset::files::{
     Folders, SplitList, check_image_name, check_path, entries, file_name, flat_name, image_files, leads_away,
     listed, portable, quoted, read_json, refusal_of_unread, tails, view_name,
@@ -29,7 +28,7 @@ use crate::dataset::pose::Rigid;
 use crate::dataset::views::{Plan, ViewPlan, split_name};
 use lobelia_geometry::{Error, Result, view::Split};
 use serde::{Deserialize, de::IgnoredAny};
-use std::path::{Path, PathBuf};
+use std::{collections::BTreeMap, path::Path, path::PathBuf};
 
 /// The file that describes the cameras of one split.
 pub(super) fn camera_file(dir: &Path, split: Split) -> PathBuf {
@@ -100,10 +99,8 @@ struct Level {
     p1: Option<f64>,
     p2: Option<f64>,
     distortion_params: Option<Vec<f64>>,
-    // Instead of a pinhole or fisheye lens, instant-ngp has these.
-    ftheta_p0: Option<IgnoredAny>,
-    latlong: Option<IgnoredAny>,
-    equirectangular: Option<IgnoredAny>,
+    #[serde(flatten)]
+    others: BTreeMap<String, IgnoredAny>,
 }
 
 impl Level {
@@ -206,8 +203,7 @@ pub(super) fn plan(dir: &Path, split: Split, masks: Option<PathBuf>) -> Result<P
     let is_one = |i: usize, k: usize, value: f64| value == if i == k { 1.0 } else { 0.0 };
     let is_identity = rows.all(|(i, row)| row.iter().enumerate().all(|(k, &value)| is_one(i, k, value)));
     let transform = "the poses are taken as the file has them: applied_transform is not undone, and results are in that world";
-    let mut notes: Vec<String> =
-        (!is_identity).then(|| transform.to_owned()).into_iter().chain(note).collect();
+    let mut notes: Vec<_> = (!is_identity).then(|| transform.to_owned()).into_iter().chain(note).collect();
     let lists = top.lists(&file);
     if is_common && !lists.is_empty() {
         let paths: Vec<&str> = frames.iter().map(|frame| frame.file_path.as_deref().unwrap_or("")).collect();
@@ -235,10 +231,8 @@ fn matrix(rows: &[Vec<f64>]) -> Result<[[f64; 4]; 4], String> {
 }
 
 fn place_of(index: usize, frame: &Level) -> String {
-    match &frame.file_path {
-        Some(path) => format!("frame {index} ({})", quoted(path)),
-        None => format!("frame {index}"),
-    }
+    let path = frame.file_path.as_ref().map(|path| format!(" ({})", quoted(path)));
+    format!("frame {index}{}", path.unwrap_or_default())
 }
 
 /// Refuses paths that no file or view can have, before files are looked for.
@@ -399,16 +393,14 @@ impl Levels<'_> {
     }
 
     fn distortion(&self) -> Result<Distortion, Trouble> {
-        let other = [
-            ("ftheta_p0", self.either(|i| i.ftheta_p0).is_some()),
-            ("latlong", self.either(|i| i.latlong).is_some()),
-            ("equirectangular", self.either(|i| i.equirectangular).is_some()),
-        ];
-        if let Some((field, _)) = other.iter().find(|(_, stated)| *stated) {
+        // Instead of a pinhole or fisheye lens, instant-ngp has these.
+        let mut other = ["ftheta_p0", "latlong", "equirectangular"].into_iter();
+        let is_stated =
+            |field: &&str| [self.own, self.shared].iter().any(|of| of.others.contains_key(*field));
+        if let Some(field) = other.find(is_stated) {
             return Err((format!("`{field}` is of a lens that cannot be read"), MODEL_HELP));
         }
-        let mut lists =
-            [self.own, self.shared].into_iter().filter_map(|level| level.distortion_params.as_ref());
+        let mut lists = [self.own, self.shared].into_iter().filter_map(|of| of.distortion_params.as_ref());
         if let Some(list) = lists.find(|list| list.len() != 6) {
             let problem = format!("distortion_params has {} numbers, not 6", list.len());
             return Err((problem, "Write k1, k2, k3, k4, p1, p2, as nerfstudio does."));

@@ -27,9 +27,7 @@ pub(super) fn view_folders(dir: &Path, split: Split) -> Vec<PathBuf> {
     };
     match split {
         Split::Train => called("train_"),
-        Split::Test => {
-            Some(called("test_")).filter(|test| !test.is_empty()).unwrap_or_else(|| called("val_"))
-        }
+        Split::Test => Some(called("test_")).filter(|of| !of.is_empty()).unwrap_or_else(|| called("val_")),
     }
 }
 

@@ -48,8 +48,7 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
             )
         })?;
         let name = view_name(&key);
-        let image =
-            images.as_mut().map(|images| images.photograph(&key)).transpose()?.map(|(_, image)| image);
+        let image = images.as_mut().map(|images| images.photograph(&key)).transpose()?.map(|found| found.1);
         views.push(ViewPlan {
             name,
             camera_file: file.clone(),

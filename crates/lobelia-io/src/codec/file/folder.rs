@@ -58,8 +58,7 @@ fn clash(
     problem: impl Fn(&FileUse, &FileUse) -> String,
 ) -> Result<()> {
     let led = |file: &FileUse| of(&file.path).canonicalize().ok();
-    let read: HashMap<PathBuf, &FileUse> =
-        inputs.iter().filter_map(|input| Some((led(input)?, input))).collect();
+    let read: HashMap<_, _> = inputs.iter().filter_map(|input| Some((led(input)?, input))).collect();
     let found = |output: &FileUse| Some(problem(output, read.get(&led(output)?)?));
     outputs.iter().find_map(found).map_or(Ok(()), |problem| Err(Error::usage(problem, help)))
 }

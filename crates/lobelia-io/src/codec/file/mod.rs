@@ -8,10 +8,8 @@ mod folder;
 mod write;
 
 pub use folder::{FileUse, FolderLock, LOCK, check_apart, check_not_among, check_writable, lies_in};
-pub use write::{
-    check_file_name, check_finite, clear_scratch, file_stems, is_unfinished, scratch_folder, write_bytes,
-    write_file,
-};
+pub use write::{check_file_name, check_finite, file_stems, write_bytes, write_file};
+pub use write::{clear_scratch, is_unfinished, scratch_folder};
 pub(crate) use write::{folder_of, not_written};
 
 use faults::{Call, meet};
@@ -28,7 +26,7 @@ const MOST_BYTES: u64 = 4 << 30;
 /// A file on the disk: the one through which everything is read and written. Tests give it the faults of disks and pipes.
 #[derive(Debug)]
 pub struct DiskFile {
-    file: File,
+    pub(in crate::codec) file: File,
     path: PathBuf,
 }
 
@@ -36,14 +34,6 @@ impl DiskFile {
     /// Opens a file for reading.
     pub(in crate::codec) fn open(path: &Path) -> io::Result<Self> {
         Ok(Self { file: File::open(path)?, path: path.to_owned() })
-    }
-
-    /// The metadata that the system has.
-    ///
-    /// # Errors
-    /// Any error of the system.
-    pub fn metadata(&self) -> io::Result<fs::Metadata> {
-        self.file.metadata()
     }
 
     /// Puts its bytes on the disk.
@@ -193,7 +183,7 @@ pub fn open(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<BufReader
     let file = open_regular(path).map_err(|Obstacle { problem, help: own }| {
         Error::input(path, "", problem, if own.is_empty() { help(path) } else { own })
     })?;
-    if file.metadata().map_err(Error::io("read", path))?.len() == 0 {
+    if file.file.metadata().map_err(Error::io("read", path))?.len() == 0 {
         return Err(Error::input(path, "", "the file is empty (0 bytes)", "Copy it again."));
     }
     Ok(BufReader::new(file))
@@ -240,7 +230,7 @@ pub fn read_bytes(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Vec
 /// [`Error::Input`] for what [`open`] refuses, and for a larger file, before it is read; [`Error::Io`] if reading fails.
 pub fn read_up_to(path: &Path, most: u64, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
     let file = open(path, help)?;
-    let mut length = file.get_ref().metadata().map_err(Error::io("read", path))?.len();
+    let mut length = file.get_ref().file.metadata().map_err(Error::io("read", path))?.len();
     let mut bytes = Vec::new();
     if length <= most {
         // The file may grow while it is read. What there is no memory for is refused by the reading itself.

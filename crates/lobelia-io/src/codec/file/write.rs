@@ -3,7 +3,8 @@
 
 use crate::codec::file::DiskFile;
 use lobelia_geometry::{Error, Result};
-use std::io::{BufWriter, ErrorKind, Write as _};
+use std::io::ErrorKind::{NotADirectory, NotFound};
+use std::io::{BufWriter, Write as _};
 use std::{collections::HashSet, ffi::OsStr, fmt::Display, fs, fs::File, path::Path, path::PathBuf};
 use tempfile::TempDir;
 
@@ -121,9 +122,7 @@ fn is_scratch(file: &Path) -> bool {
 /// [`Error::Io`] if something cannot be removed.
 pub fn clear_scratch(folder: &Path) -> Result<()> {
     let entries = match fs::read_dir(folder) {
-        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
-            return Ok(());
-        }
+        Err(error) if matches!(error.kind(), NotFound | NotADirectory) => return Ok(()),
         entries => entries.map_err(Error::io("read", folder))?,
     };
     for entry in entries {

@@ -160,8 +160,7 @@ impl Gathered {
         self.add_triangles(&indices, mode, world);
         self.add_positions(file, &positions, world, place)?;
         // Missing normals stay zero until [`Gathered::finish`].
-        let normals =
-            normals.map_or(Ok(vec![[0.0; 3]; count]), |accessor| file.floats::<3>(accessor, place))?;
+        let normals = normals.map_or(Ok(vec![[0.0; 3]; count]), |index| file.floats::<3>(index, place))?;
         let cofactors = inverse_transpose_direction(Mat3::from_mat4(world));
         self.mesh.normals.extend(normals.into_iter().map(Vec3::from).map(|normal| {
             if world == Mat4::IDENTITY || !normal.is_finite() {
@@ -170,7 +169,7 @@ impl Gathered {
             (cofactors * normal.as_dvec3()).normalize_or_zero().as_vec3()
         }));
         self.with_uvs += usize::from(uvs.is_some());
-        let uvs = uvs.map_or(Ok(vec![[0.0; 2]; count]), |accessor| file.floats::<2>(accessor, place))?;
+        let uvs = uvs.map_or(Ok(vec![[0.0; 2]; count]), |index| file.floats::<2>(index, place))?;
         self.uvs.extend(uvs.into_iter().map(Vec2::from));
         self.report.primitives += 1;
         Ok(())

@@ -123,8 +123,7 @@ impl GltfMaterial {
 pub fn read_material(path: &Path) -> Result<GltfMaterial> {
     let file = GltfFile::open(path)?;
     let primitives = file.root.meshes.iter().flat_map(|mesh| &mesh.primitives);
-    let used: BTreeSet<_> =
-        primitives.map(|primitive| primitive.material.map(|index| index.value())).collect();
+    let used: BTreeSet<_> = primitives.map(|part| part.material.map(|index| index.value())).collect();
     let (1, Some(Some(index))) = (used.len(), used.first()) else {
         let problem = "not every part of the mesh has the same material";
         let help = "give the material in the scene file, or export the mesh with one material";

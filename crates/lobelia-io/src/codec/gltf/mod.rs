@@ -124,8 +124,7 @@ impl GltfFile {
     fn floats<const N: usize>(&self, index: Index<json::Accessor>, place: &str) -> Result<Vec<[f32; N]>> {
         let (component, elements) = self.elements(index, N, place)?;
         let is_normalized = self.root.accessors[index.value()].normalized;
-        let float =
-            |bytes: &[u8], k: usize| float_at(&bytes[k * component.size()..], component, is_normalized);
+        let float = |raw: &[u8], k: usize| float_at(&raw[k * component.size()..], component, is_normalized);
         Ok(elements.map(|bytes| std::array::from_fn(|k| float(bytes, k))).collect())
     }
 
@@ -189,9 +188,8 @@ pub fn side_files(path: &Path) -> Vec<PathBuf> {
     let Ok((root, _)) = document(path) else { return Vec::new() };
     let buffers = root.buffers.iter().map(|buffer| buffer.uri.as_ref());
     let images = root.images.iter().map(|image| image.uri.as_ref());
-    let uris =
-        buffers.chain(images).flatten().filter(|uri| !uri.starts_with("data:") && !uri.contains("://"));
-    uris.filter_map(|uri| file_of(path, uri)).collect()
+    let is_file = |uri: &&String| !uri.starts_with("data:") && !uri.contains("://");
+    buffers.chain(images).flatten().filter(is_file).filter_map(|uri| file_of(path, uri)).collect()
 }
 
 /// The file that a URI in the glTF file at `path` names; `None` if it is not UTF-8.

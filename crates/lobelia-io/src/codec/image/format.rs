@@ -135,9 +135,7 @@ pub(super) fn recognize(path: &Path, start: &[u8]) -> Result<Format> {
         return Err(raw(path));
     }
     format.ok_or_else(|| match FOREIGN.iter().find(|(at, magic, ..)| starts(start, *at, magic)) {
-        Some((_, _, name, help)) => {
-            Error::input(path, "", format!("this is {name}, which is not read"), *help)
-        }
+        Some((.., name, help)) => Error::input(path, "", format!("this is {name}, which is not read"), *help),
         None => {
             let problem = "the contents are neither PNG, JPEG, TIFF, WebP, OpenEXR nor Radiance HDR";
             Error::input(path, "", problem, format!("Copy it again. {MAGICK}"))
@@ -197,15 +195,10 @@ impl ImageHeader {
         self.channels.is_multiple_of(2)
     }
 
-    /// True if turning the pixels upright swaps width and height.
-    pub fn is_turned(&self) -> bool {
-        self.exif >= 5
-    }
-
     /// Width and height in pixels with this treatment of the EXIF orientation.
     pub fn size(&self, orientation: Orientation) -> [u32; 2] {
         match orientation {
-            Orientation::Upright if self.is_turned() => [self.height, self.width],
+            Orientation::Upright if self.exif >= 5 => [self.height, self.width],
             _ => [self.width, self.height],
         }
     }

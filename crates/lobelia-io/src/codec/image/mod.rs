@@ -12,12 +12,10 @@ mod linear;
 mod tiff_file;
 
 pub(crate) use format::has_extension;
-pub use format::{
-    Format, IMAGE_EXTENSIONS, ImageHeader, ImageSamples, Orientation, is_unread_name, is_video_start,
-};
-pub use linear::{
-    BRIGHTEST, Gamma, LoadedImage, Repairs, decode_photograph, linear_image, read_image, read_mask,
-};
+pub use format::{Format, IMAGE_EXTENSIONS, ImageHeader, ImageSamples, Orientation};
+pub use format::{is_unread_name, is_video_start};
+pub use linear::{BRIGHTEST, Gamma, LoadedImage, Repairs};
+pub use linear::{decode_photograph, linear_image, read_image, read_mask};
 
 use crate::codec::file::{DiskFile, first_bytes, open};
 use crate::codec::{exr::decode_exr_picture, exr::exr_header, nearby::missing_file_help};
@@ -111,7 +109,7 @@ pub fn image_header(path: impl AsRef<Path>) -> Result<ImageHeader> {
 
 /// [`image_header`] of a file at its beginning.
 fn read_header(path: &Path, file: &mut BufReader<DiskFile>) -> Result<ImageHeader> {
-    let file_bytes = file.get_ref().metadata().map_err(Error::io("read", path))?.len();
+    let file_bytes = file.get_ref().file.metadata().map_err(Error::io("read", path))?.len();
     let format = recognize(path, &first_bytes(path, file, RECOGNIZED_BY)?)?;
     let header = match format {
         Format::Jpeg => {

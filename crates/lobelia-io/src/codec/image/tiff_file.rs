@@ -84,12 +84,10 @@ pub(super) fn decode(path: &Path, source: impl Read + Seek, header: &ImageHeader
         DecodingResult::U8(samples) => ImageSamples::Bytes8(samples),
         DecodingResult::U16(samples) => ImageSamples::Words16(samples),
         DecodingResult::F32(samples) => ImageSamples::Floats(samples),
-        DecodingResult::F16(samples) => {
-            ImageSamples::Floats(samples.into_iter().map(|sample| sample.to_f32()).collect())
+        DecodingResult::F16(halves) => {
+            ImageSamples::Floats(halves.iter().map(|half| half.to_f32()).collect())
         }
-        DecodingResult::F64(samples) => {
-            ImageSamples::Floats(samples.into_iter().map(|sample| sample as f32).collect())
-        }
+        DecodingResult::F64(wide) => ImageSamples::Floats(wide.iter().map(|float| *float as f32).collect()),
         _ => return Err(unsupported(path, "its samples are signed or wider than 16 bits")),
     };
     if samples.count() != width as usize * height as usize * channels {
