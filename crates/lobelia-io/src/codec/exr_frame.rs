@@ -83,8 +83,7 @@ pub fn write_frame_rows(
 /// cannot be written.
 pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()> {
     let size = [channels.width as usize, channels.height as usize];
-    let columns: Vec<Column> =
-        channels.channels.iter().map(|(name, values)| Column::new(name, values)).collect();
+    let columns: Vec<_> = channels.channels.iter().map(|(name, values)| Column::new(name, values)).collect();
     write_rows(path.as_ref(), &columns, size, |rows| rows.push_columns(size, &columns))
 }
 

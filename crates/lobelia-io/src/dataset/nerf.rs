@@ -113,19 +113,19 @@ impl Level {
 
     /// nerfstudio's lists of the views of each split.
     fn lists(&self, file: &Path) -> Vec<SplitList> {
-        let train =
-            self.train_filenames.as_ref().map(|names| (Some(Split::Train), ("train_filenames", names)));
-        let held_out = self.held_out();
+        let (name, held_out) = self.held_out().unzip();
         // Of neither split where there is a list of test views as well.
-        let validation = self.val_filenames.as_ref().map(|names| (None, ("val_filenames", names)));
-        let validation = validation.filter(|_| held_out.is_some_and(|(name, _)| name == "test_filenames"));
-        let lists = [train, held_out.map(|list| (Some(Split::Test), list)), validation];
-        let list = |(split, (name, names)): (Option<Split>, (&str, &Vec<String>))| SplitList {
-            file: file.to_owned(),
-            split,
-            names: names.iter().map(|path| (path.clone(), name.to_owned())).collect(),
+        let validation = self.val_filenames.as_ref().filter(|_| name == Some("test_filenames"));
+        let lists = [
+            (Some(Split::Train), "train_filenames", self.train_filenames.as_ref()),
+            (Some(Split::Test), name.unwrap_or_default(), held_out),
+            (None, "val_filenames", validation),
+        ];
+        let list = |(split, name, names): (Option<Split>, &str, Option<&Vec<String>>)| {
+            let names = names?.iter().map(|path| (path.clone(), name.to_owned())).collect();
+            Some(SplitList { file: file.to_owned(), split, names })
         };
-        lists.into_iter().flatten().map(list).collect()
+        lists.into_iter().filter_map(list).collect()
     }
 
     /// The coefficient of lens distortion called so.
@@ -239,13 +239,12 @@ fn place_of(index: usize, frame: &Level) -> String {
 fn check_paths(file: &Path, index: usize, frame: &Level) -> Result<()> {
     let place = place_of(index, frame);
     frame.mask_path.as_ref().map_or(Ok(()), |mask| check_path(mask, file, &place))?;
-    match &frame.file_path {
-        Some(path) if path.trim().is_empty() => {
-            let help = "Write the path of the frame's image, from the folder of this file on.";
-            Err(Error::input(file, format!("frame {index}"), "file_path is empty", help))
-        }
-        path => path.as_ref().map_or(Ok(()), |path| check_image_name(path, file, &place)),
+    let Some(path) = &frame.file_path else { return Ok(()) };
+    if path.trim().is_empty() {
+        let help = "Write the path of the frame's image, from the folder of this file on.";
+        return Err(Error::input(file, format!("frame {index}"), "file_path is empty", help));
     }
+    check_image_name(path, file, &place)
 }
 
 /// The folder that all images are in, below that of the camera file, if they are in several folders.

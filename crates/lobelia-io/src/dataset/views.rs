@@ -87,9 +87,9 @@ impl ViewPlan {
 
 /// The problem if the EXIF orientation of a view's image explains why `other`, of size `whose`, has not its size.
 fn turned(header: Option<&ImageHeader>, other: &str, whose: [u32; 2]) -> Option<String> {
-    let [upright, stored] = [Orientation::Upright, Orientation::AsStored].map(|way| Some(header?.size(way)));
-    let ([w, h], [width, height]) = (upright.filter(|upright| *upright == whose)?, stored?);
-    ([w, h] != [width, height]).then(|| {
+    let header = header?;
+    let ([width, height], [w, h]) = (header.size(Orientation::AsStored), whose);
+    (header.size(Orientation::Upright) == whose && whose != [width, height]).then(|| {
         format!(
             "the image is {width}×{height} as stored and {w}×{h} as its EXIF orientation shows it; {other} is {w}×{h}"
         )
@@ -167,7 +167,7 @@ impl PlannedView {
             return Err(plan.wrong(problem, "Use a smaller `downscale`."));
         }
         let mask_header = plan.mask.as_ref().map(image_header).transpose()?;
-        let mask_size = mask_header.as_ref().map(|header| header.size(Orientation::AsStored));
+        let mask_size = mask_header.map(|header| header.size(Orientation::AsStored));
         if let (Some([w, h]), Some(path)) = (mask_size.filter(|mask| *mask != size), &plan.mask) {
             let problem = turned(header.as_ref(), "its mask", [w, h])
                 .unwrap_or_else(|| format!("the mask has {w}×{h} pixels, its view {width}×{height}"));
@@ -191,8 +191,7 @@ impl PlannedView {
             mask = mask.map(|mask| way.mask(&mask));
         }
         let camera = way.as_ref().map_or(bent, |way| way.camera).scaled(downscale);
-        let blackened =
-            picture.as_mut().zip(mask.as_ref()).is_some_and(|(picture, mask)| picture.blacken(mask));
+        let blackened = picture.as_mut().zip(mask.as_ref()).is_some_and(|(of, mask)| of.blacken(mask));
         let repairs = match &picture {
             Some(Picture::Linear(loaded)) => loaded.repairs.clone(),
             _ => Repairs::default(),
