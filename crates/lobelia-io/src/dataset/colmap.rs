@@ -84,10 +84,9 @@ fn numbered_models(folder: &Path) -> Vec<PathBuf> {
 
 /// The `images` file of a model folder, binary before text; `None` if there is no model in it.
 fn image_file(folder: &Path) -> Option<PathBuf> {
-    let has = |kind: &&str| {
-        ["cameras", "images"].iter().all(|name| is_there(&folder.join(format!("{name}.{kind}"))))
-    };
-    ["bin", "txt"].into_iter().find(has).map(|kind| folder.join(format!("images.{kind}")))
+    let has = |name: &str, kind: &str| is_there(&folder.join(format!("{name}.{kind}")));
+    let kind = ["bin", "txt"].into_iter().find(|kind| has("cameras", kind) && has("images", kind))?;
+    Some(folder.join(format!("images.{kind}")))
 }
 
 /// Whether the folder has this split of a COLMAP data set: the test split is a list.

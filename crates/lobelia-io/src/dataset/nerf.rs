@@ -408,17 +408,12 @@ impl Levels<'_> {
         let is_fisheye = self.either(|i| i.is_fisheye).unwrap_or(false);
         // Only the model with a divisor has these.
         let is_full = ["k5", "k6"].into_iter().any(|name| coefficient(name) != 0.0);
+        let usual = if is_full { "FULL_OPENCV" } else { "OPENCV" };
         let stated = self.either(|i| i.camera_model.as_deref().map(str::to_ascii_uppercase));
         let model = match stated.as_deref() {
             None | Some("OPENCV") if is_fisheye => "OPENCV_FISHEYE",
             Some(model @ ("OPENCV_FISHEYE" | "FULL_OPENCV")) => model,
-            None | Some("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV") => {
-                if is_full {
-                    "FULL_OPENCV"
-                } else {
-                    "OPENCV"
-                }
-            }
+            None | Some("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV") => usual,
             Some(other) => return Err((format!("the camera_model {other} cannot be read"), MODEL_HELP)),
         };
         Ok(Distortion::of_model(model, coefficient))

@@ -25,10 +25,8 @@ pub(super) fn view_folders(dir: &Path, split: Split) -> Vec<PathBuf> {
         };
         entries(dir).filter(is_view).collect::<Vec<_>>()
     };
-    match split {
-        Split::Train => called("train_"),
-        Split::Test => Some(called("test_")).filter(|of| !of.is_empty()).unwrap_or_else(|| called("val_")),
-    }
+    let kinds: &[&str] = if split == Split::Train { &["train_"] } else { &["test_", "val_"] };
+    kinds.iter().map(|kind| called(kind)).find(|views| !views.is_empty()).unwrap_or_default()
 }
 
 /// A camera file.

@@ -81,11 +81,8 @@ fn nearest_rotation(linear: DMat3) -> Result<(DMat3, f64), String> {
     let error = (linear.transpose() * linear - DMat3::IDENTITY).to_cols_array();
     let error = error.into_iter().fold(0.0, |worst: f64, value| worst.max(value.abs()));
     if error >= RIGID_TOLERANCE {
-        let rounded = if error < MOST_ROUNDED && has_few_decimals(linear) {
-            "; it is written with too few decimals: export it with 6"
-        } else {
-            ""
-        };
+        let is_rounded = error < MOST_ROUNDED && has_few_decimals(linear);
+        let rounded = if is_rounded { "; it is written with too few decimals: export it with 6" } else { "" };
         return Err(format!(
             "is not rigid: its 3×3 part times its transpose differs from the identity by {error:.2e} (scale {size:.4}){rounded}"
         ));

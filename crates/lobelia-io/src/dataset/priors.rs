@@ -185,10 +185,8 @@ impl MapLookup<'_> {
             let stored = if is_float { stored } else { 2.0 * stored - 1.0 };
             let known = KNOWN_LENGTHS.contains(&stored.length());
             let normal = stored.normalize_or_zero() * f32::from(u8::from(known));
-            match axes {
-                NormalAxes::Camera => *camera * (normal * Vec3::new(1.0, -1.0, -1.0)),
-                NormalAxes::World => normal,
-            }
+            let in_camera = normal * Vec3::new(1.0, -1.0, -1.0);
+            if axes == NormalAxes::Camera { *camera * in_camera } else { normal }
         };
         let normals = self.read(path, Gamma::Linear, world)?;
         self.check_facing(path, axes, &normals)?;

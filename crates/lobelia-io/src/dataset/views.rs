@@ -70,10 +70,9 @@ impl ViewPlan {
 
     /// The mask, from its file or from the alpha of the photograph.
     fn mask(&self, picture: Option<&Picture>, [width, height]: [u32; 2]) -> Result<Option<Mask>> {
-        let alpha = || picture.and_then(Picture::alpha);
         let mask = match &self.mask {
             Some(path) => Some(read_mask(path, Orientation::AsStored)?),
-            None => alpha().map(|coverage| Mask { width, height, coverage }),
+            None => picture.and_then(Picture::alpha).map(|coverage| Mask { width, height, coverage }),
         };
         if mask.as_ref().is_some_and(|mask| mask.coverage.iter().all(|&coverage| coverage == 0.0)) {
             let problem = format!("the mask of view `{}` is empty: no pixel is covered", self.name);
@@ -103,10 +102,7 @@ pub(super) struct Plan {
 }
 
 pub(super) fn split_name(split: Split) -> &'static str {
-    match split {
-        Split::Train => "train",
-        Split::Test => "test",
-    }
+    if split == Split::Train { "train" } else { "test" }
 }
 
 /// A view of a data set whose files are found and not read.

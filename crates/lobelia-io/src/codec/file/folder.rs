@@ -130,10 +130,8 @@ impl FolderLock {
     pub fn check_free(folder: &Path) -> Result<()> {
         check_ours(&folder.join(LOCK))?;
         let Ok(file) = File::open(folder.join(LOCK)) else { return Ok(()) };
-        match file.try_lock_shared() {
-            Err(TryLockError::WouldBlock) => Err(busy(folder)),
-            _ => Ok(()),
-        }
+        let is_taken = matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock));
+        if is_taken { Err(busy(folder)) } else { Ok(()) }
     }
 }
 
@@ -142,11 +140,7 @@ impl Drop for FolderLock {
         // What cannot be removed does no harm. Folders that were made go only if nothing was put into them.
         let _ = fs::remove_file(&self.path);
         let _ = self.file.unlock();
-        for folder in &self.made {
-            if fs::remove_dir(folder).is_err() {
-                break;
-            }
-        }
+        let _ = self.made.iter().try_for_each(fs::remove_dir);
     }
 }
 

@@ -154,10 +154,8 @@ pub fn check_file_name(name: &str) -> Result<(), String> {
     if matches!(name, "." | "..") {
         return Err("stands for a folder".to_owned());
     }
-    match name.chars().find(|&c| matches!(c, '/' | '\\') || c.is_control()) {
-        Some(c) => Err(format!("holds {c:?}, which a file name must not")),
-        None => Ok(()),
-    }
+    let bad = name.chars().find(|&c| matches!(c, '/' | '\\') || c.is_control());
+    bad.map_or(Ok(()), |c| Err(format!("holds {c:?}, which a file name must not")))
 }
 
 /// The stems of the files of things with these names, in the order of the names, apart from each other and from those that are `taken`

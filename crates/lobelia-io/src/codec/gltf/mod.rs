@@ -211,9 +211,7 @@ fn document(path: &Path) -> Result<(Root, Option<Vec<u8>>)> {
     let (mut text, mut blob) = (bytes.as_slice(), None);
     if bytes.starts_with(b"glTF") {
         match (word(4), word(8)) {
-            (Some(version), _) if version != 2 => {
-                return Err(wrong(format!("is binary glTF version {version}, not 2")));
-            }
+            (Some(v), _) if v != 2 => return Err(wrong(format!("is binary glTF version {v}, not 2"))),
             (_, Some(length)) if length as usize <= bytes.len() => {}
             _ => return Err(wrong(format!("is truncated: it ends after {} bytes", bytes.len()))),
         }

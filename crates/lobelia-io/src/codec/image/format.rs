@@ -197,10 +197,8 @@ impl ImageHeader {
 
     /// Width and height in pixels with this treatment of the EXIF orientation.
     pub fn size(&self, orientation: Orientation) -> [u32; 2] {
-        match orientation {
-            Orientation::Upright if self.exif >= 5 => [self.height, self.width],
-            _ => [self.width, self.height],
-        }
+        let is_turned = orientation == Orientation::Upright && self.exif >= 5;
+        if is_turned { [self.height, self.width] } else { [self.width, self.height] }
     }
 
     /// Bytes of the decoded samples.
