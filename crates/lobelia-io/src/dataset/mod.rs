@@ -1,6 +1,6 @@
 //! Data sets: folders of posed photographs, read into [`ViewRecord`]s.
 //!
-//! The files in the folder determine the [`Layout`]; each is described where it is read. Where a folder has two, Stanford-ORB goes before
+//! The files in the folder determine the [`Layout`]; the manual describes each. Where a folder has two, Stanford-ORB goes before
 //! NeRF, and COLMAP before LLFF; a COLMAP model that is kept for the record yields to the cameras that were made of it.
 
 pub mod colmap;

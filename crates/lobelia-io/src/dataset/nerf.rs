@@ -28,7 +28,7 @@ use crate::dataset::pose::Rigid;
 use crate::dataset::views::{Plan, ViewPlan, split_name};
 use lobelia_geometry::{Error, Result, view::Split};
 use serde::{Deserialize, de::IgnoredAny};
-use std::{collections::BTreeMap, path::Path, path::PathBuf};
+use std::path::{Path, PathBuf};
 
 /// The file that describes the cameras of one split.
 pub(super) fn camera_file(dir: &Path, split: Split) -> PathBuf {
@@ -99,8 +99,10 @@ struct Level {
     p1: Option<f64>,
     p2: Option<f64>,
     distortion_params: Option<Vec<f64>>,
-    #[serde(flatten)]
-    others: BTreeMap<String, IgnoredAny>,
+    // Instead of a pinhole or fisheye lens, instant-ngp has these.
+    ftheta_p0: Option<IgnoredAny>,
+    latlong: Option<IgnoredAny>,
+    equirectangular: Option<IgnoredAny>,
 }
 
 impl Level {
@@ -392,11 +394,10 @@ impl Levels<'_> {
     }
 
     fn distortion(&self) -> Result<Distortion, Trouble> {
-        // Instead of a pinhole or fisheye lens, instant-ngp has these.
-        let mut other = ["ftheta_p0", "latlong", "equirectangular"].into_iter();
-        let is_stated =
-            |field: &&str| [self.own, self.shared].iter().any(|of| of.others.contains_key(*field));
-        if let Some(field) = other.find(is_stated) {
+        let others =
+            |of: &Level| [of.ftheta_p0, of.latlong, of.equirectangular].iter().position(Option::is_some);
+        if let Some(n) = [self.own, self.shared].into_iter().find_map(others) {
+            let field = ["ftheta_p0", "latlong", "equirectangular"][n];
             return Err((format!("`{field}` is of a lens that cannot be read"), MODEL_HELP));
         }
         let mut lists = [self.own, self.shared].into_iter().filter_map(|of| of.distortion_params.as_ref());
