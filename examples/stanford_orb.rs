@@ -101,11 +101,11 @@ fn scene_of(orb: &Path, capture: &str, views: &[PlannedView], downscale: u32) ->
     for view in views {
         let (scene, file) = place_of(view)?;
         if scene == capture {
-            own.push(format!("{:?}", view.name()));
+            own.push(format!("{:?}", view.plan.name));
             continue;
         }
         let map = orb.join("ground_truth").join(&scene).join("env_map").join(file);
-        let ([x, y, z], name) = (turn_of(view).to_array(), view.name());
+        let ([x, y, z], name) = (turn_of(view).to_array(), &view.plan.name);
         relights += &format!(
             "        Relight(name: \"relit_{name}\", light: Map(path: {map:?}, rotation_degrees: ({x}, {y}, {z})), \
              render: (views: Named([\"{name}\"]))),\n"
@@ -126,7 +126,7 @@ fn scene_of(orb: &Path, capture: &str, views: &[PlannedView], downscale: u32) ->
 
 /// The capture that a photograph is of, and the name of its file.
 fn place_of(view: &PlannedView) -> Result<(String, PathBuf)> {
-    let image = view.image_path().ok_or("a view has no photograph")?;
+    let image = view.plan.image.as_deref().ok_or("a view has no photograph")?;
     let scene = image.ancestors().nth(2).and_then(Path::file_name).ok_or("a photograph is in no capture")?;
     Ok((scene.to_string_lossy().into_owned(), image.file_name().unwrap_or_default().into()))
 }

@@ -11,7 +11,7 @@ use lobelia_geometry::{error::Result, mesh::nearest::NearestTriangle, mesh::tria
 use lobelia_io::codec::gltf::material::{
     Dielectric, GltfMaterial, GltfReflectance, GltfTable, LobeReflectance,
 };
-use lobelia_io::codec::usd::{UpAxis, UsdImage, UsdInput, UsdLight, UsdMaterial, write_usda, write_usdz};
+use lobelia_io::codec::usd::{UpAxis, UsdImage, UsdInput, UsdMaterial, write_usda, write_usdz};
 use lobelia_io::codec::{
     envmap::write_map_hdr, file::write_bytes, gltf::export::write_glb, image::encode_png,
 };
@@ -47,8 +47,8 @@ pub(crate) fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
             MeshFormat::Glb => write_glb(&path, &mesh, Some(&gltf(&object)?)),
             MeshFormat::Usda => {
                 // The map of the light is in the convention of three.js.
-                let beside = UsdLight { file: LIGHT, turn_degrees: LIGHT_TURN };
-                write_usda(&path, &mesh, &usd(&object)?, up, light.as_ref().map(|_| beside))
+                let light = light.as_ref().map(|_| (LIGHT, LIGHT_TURN));
+                write_usda(&path, &mesh, &usd(&object)?, up, light)
             }
             MeshFormat::Usdz => write_usdz(&path, &mesh, &usd(&object)?, up),
         }?;

@@ -166,7 +166,7 @@ fn mask_of_file(file: &Path) -> Result<GrayImage> {
             return Ok(gray(cutout.image.width, cutout.image.height, &alpha));
         }
     }
-    let mask = read_mask(file, AsStored)?.mask;
+    let mask = read_mask(file, AsStored)?;
     Ok(gray(mask.width, mask.height, &mask.coverage))
 }
 

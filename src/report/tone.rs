@@ -187,7 +187,7 @@ pub fn write_png_rows(
     fill: impl FnOnce(&mut PngRows) -> Result<()>,
 ) -> Result<()> {
     let color = if transparent { ColorType::Rgba } else { ColorType::Rgb };
-    png_file::write_rows(path, size, color, fill)
+    png_file::write_rows(path, size, color, None, fill)
 }
 
 fn byte(value: f32) -> u8 {

@@ -77,7 +77,7 @@ impl<'a> OpenScene<'a> {
 
     /// Looks at a view that was read.
     pub fn look(&self, view: &PlannedView, loaded: &LoadedView) -> ViewLook {
-        let source = if view.mask_path().is_some() { MaskOrigin::File } else { MaskOrigin::Alpha };
+        let source = if view.plan.mask.is_some() { MaskOrigin::File } else { MaskOrigin::Alpha };
         ViewLook::new(&loaded.record, source)
     }
 
@@ -138,7 +138,7 @@ fn backgrounds(planned: &[PlannedView], looks: &[ViewLook], gamma: Gamma) -> Res
 
 /// A photograph as its file has it, without the object and a pixel around it; `None` if it has alpha.
 fn background(view: &PlannedView, mask: &SmallMask, gamma: Gamma) -> Result<Option<Background>> {
-    let Some(path) = view.image_path() else { return Ok(None) };
+    let Some(path) = &view.plan.image else { return Ok(None) };
     let loaded = read_image(path, gamma, Orientation::AsStored)?;
     if loaded.alpha.is_some() {
         return Ok(None);

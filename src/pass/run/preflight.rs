@@ -40,7 +40,7 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
             ring(&spec.cameras, scene.up).into_iter().map(|view| (view.name, view.split)).collect()
         }
         (Views::Dataset(_), Some(open)) => {
-            open.views.iter().map(|of| (of.name().to_owned(), of.split())).collect()
+            open.views.iter().map(|view| (view.plan.name.clone(), view.split)).collect()
         }
         (Views::Dataset(_), None) => Vec::new(),
     };
@@ -143,7 +143,7 @@ pub(super) fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<File
         inputs.extend(truth.found().into_iter().map(|path| FileUse::new(path, &by)));
     }
     let views = open.map(|open| open.views.as_slice()).unwrap_or_default();
-    let cameras: BTreeSet<&Path> = views.iter().map(|view| view.camera_file()).collect();
+    let cameras: BTreeSet<&Path> = views.iter().map(|view| view.plan.camera_file.as_path()).collect();
     inputs.extend(cameras.into_iter().map(|path| FileUse::new(path, "which has the cameras")));
     inputs.extend(views.iter().flat_map(|view| view.pictures()));
     inputs

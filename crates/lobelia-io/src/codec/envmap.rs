@@ -1,15 +1,11 @@
 //! Environment maps from OpenEXR and Radiance HDR files, and back.
 
-use crate::codec::exr::ExrLayers;
-use crate::codec::exr_frame::write_channels;
-use crate::codec::file;
 use crate::codec::image::{Decoded, ImageSamples, Orientation, decode_samples};
+use crate::codec::{exr::ExrLayers, exr_frame::write_channels, file};
 use glam::Vec3;
-use image::Rgb;
-use image::codecs::hdr::HdrEncoder;
+use image::{Rgb, codecs::hdr::HdrEncoder};
 use lobelia_geometry::{Error, Result};
-use lobelia_world::light::envmap::BoxFilter;
-use lobelia_world::light::{EnvironmentMap, validate_map};
+use lobelia_world::{light::EnvironmentMap, light::envmap::BoxFilter, light::validate_map};
 use std::path::Path;
 
 /// Maps wider than this are averaged down while they are read.
@@ -45,7 +41,8 @@ pub fn read_map(path: impl AsRef<Path>) -> Result<EnvironmentMap> {
 pub fn read_map_with_notes(path: impl AsRef<Path>) -> Result<(EnvironmentMap, Vec<String>)> {
     let path = path.as_ref();
     let wrong = |problem: String, help: &str| Error::input(path, "", problem, help);
-    let Decoded { header, width, height, samples } = decode_samples(path, Orientation::AsStored)?;
+    let Decoded { header, samples } = decode_samples(path, Orientation::AsStored)?;
+    let (width, height) = (header.width, header.height);
     let ImageSamples::Floats(samples) = samples else {
         let problem = format!("is {}, neither OpenEXR nor Radiance HDR", header.format.name());
         return Err(wrong(problem, EXPORT_HELP));
@@ -83,11 +80,7 @@ pub fn read_map_with_notes(path: impl AsRef<Path>) -> Result<(EnvironmentMap, Ve
         return Err(wrong(problem, "divide its values so that a gray sky is about 1"));
     }
     if !is_lit {
-        let problem = if negative > 0 {
-            "no texel of the map is above 0, and some are negative: it gives no light"
-        } else {
-            "the map is black everywhere, or nearly: it gives no light"
-        };
+        let problem = "the map is black everywhere, or nearly, or negative: it gives no light";
         return Err(wrong(problem.to_owned(), "check the export, or use another map"));
     }
     let map = filter.finish();
@@ -121,7 +114,7 @@ pub fn write_map_exr(map: &EnvironmentMap, path: impl AsRef<Path>) -> Result<()>
 /// [`Error::Run`] for a map of another size than its texels, or with a radiance that is negative, not finite or above
 /// [`MAX_RADIANCE`](lobelia_world::light::MAX_RADIANCE); [`Error::Io`] if the file cannot be written.
 pub fn write_map_hdr(map: &EnvironmentMap, path: &Path) -> Result<()> {
-    let wrong = |problem: String| Error::run(format!("writing {}", path.display()), problem);
+    let wrong = |problem: String| file::not_written(path, problem);
     let [width, height] = [map.width, map.height].map(|side| side as usize);
     if map.radiance.len() != width * height || map.radiance.is_empty() {
         return Err(wrong(format!("{} texels do not fill {width} × {height}", map.radiance.len())));
@@ -161,16 +154,12 @@ fn kept_size([width, height]: [u32; 2]) -> [u32; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::test_data::{exr_of, hdr_bytes};
+    use crate::codec::test_data::{exr_of, hdr_bytes, temporary};
     use exr::prelude::{FlatSamples, f16};
     use std::path::PathBuf;
 
     fn gradient(width: u32, height: u32) -> EnvironmentMap {
         EnvironmentMap::from_directions(width, height, |d| Vec3::new(2.0 + d.x, 2.0 + d.y, 2.0 + d.z))
-    }
-
-    fn folder() -> tempfile::TempDir {
-        tempfile::tempdir().expect("a temporary folder")
     }
 
     fn write_samples(path: &PathBuf, [width, height]: [usize; 2], channels: Vec<(&str, FlatSamples)>) {
@@ -193,8 +182,7 @@ mod tests {
 
     #[test]
     fn written_maps_come_back_bit_for_bit_and_leave_nothing_else() {
-        let folder = folder();
-        let path = folder.path().join("map.exr");
+        let (folder, path) = temporary("map.exr");
         let map = gradient(20, 10);
         write_map_exr(&map, &path).unwrap();
         let (back, notes) = read_map_with_notes(&path).unwrap();
@@ -206,8 +194,7 @@ mod tests {
 
     #[test]
     fn the_channels_of_the_picture_are_read_whatever_their_type() {
-        let folder = folder();
-        let path = folder.path().join("map.exr");
+        let (_folder, path) = temporary("map.exr");
         let half = FlatSamples::F16((0..8).map(|i| f16::from_f32(i as f32)).collect());
         let (uint, float) = (FlatSamples::U32((0..8).collect()), FlatSamples::F32(vec![0.5; 8]));
         let depth = || FlatSamples::F32(vec![9.0; 8]);
@@ -221,8 +208,7 @@ mod tests {
 
     #[test]
     fn bad_values_are_repaired_and_counted_or_refused() {
-        let folder = folder();
-        let path = folder.path().join("map.exr");
+        let (_folder, path) = temporary("map.exr");
         let mut map = gradient(8, 4);
         map.radiance[3].x = f32::NAN;
         map.radiance[4] = Vec3::INFINITY;
@@ -237,8 +223,6 @@ mod tests {
         assert!(error_of(&path).contains("every texel"));
         write_map_exr(&gradient(8, 4).scaled(Vec3::ZERO), &path).unwrap();
         assert!(error_of(&path).contains("black"));
-        write_map_exr(&gradient(8, 4).scaled(Vec3::NEG_ONE), &path).unwrap();
-        assert!(error_of(&path).contains("some are negative"));
         let mut map = gradient(40, 20);
         (map.radiance[3].x, map.radiance[7].z, map.radiance[9].y) = (1e38, 1e36, 1.6e9);
         write_map_exr(&map, &path).unwrap();
@@ -253,36 +237,20 @@ mod tests {
 
     #[test]
     fn wrong_shapes_are_refused_with_their_size() {
-        let folder = folder();
-        let path = folder.path().join("map.exr");
+        let (_folder, path) = temporary("map.exr");
         write_map_exr(&gradient(9, 4), &path).unwrap();
         assert_eq!(read_map(&path).unwrap().width, 9);
         for (width, height) in [(10, 4), (4, 4), (1, 1)] {
             write_map_exr(&gradient(width, height), &path).unwrap();
             assert!(error_of(&path).contains(&format!("{width} × {height}")));
         }
-    }
-
-    #[test]
-    fn truncated_foreign_and_missing_files_are_refused() {
-        let folder = folder();
-        let path = folder.path().join("map.exr");
-        write_map_exr(&gradient(64, 32), &path).unwrap();
-        let whole = std::fs::read(&path).unwrap();
-        for part in [0, 3, 4, 50, 200, whole.len() / 2, whole.len() - 1] {
-            std::fs::write(&path, &whole[..part]).unwrap();
-            error_of(&path);
-        }
         image::RgbImage::new(4, 2).save_with_format(&path, image::ImageFormat::Png).unwrap();
         assert!(error_of(&path).contains("is a PNG, neither"));
-        assert!(error_of(&folder.path().join("none.exr")).contains("no such file"));
-        assert!(error_of(folder.path()).contains("folder"));
     }
 
     #[test]
     fn radiance_files_come_back_within_eight_bits_and_truncated_ones_are_refused() {
-        let folder = folder();
-        let path = folder.path().join("map.hdr");
+        let (_folder, path) = temporary("map.hdr");
         for width in [6, 64, 300] {
             let mut map = EnvironmentMap::from_directions(width, width / 2, |d| {
                 Vec3::new(d.x.max(0.0) * 1e3, (d.y * 9.0).exp(), 0.25 + d.z * d.z * 1e-3)
@@ -320,8 +288,7 @@ mod tests {
 
     #[test]
     fn gigantic_maps_are_averaged_down() {
-        let folder = folder();
-        let path = folder.path().join("map.exr");
+        let (_folder, path) = temporary("map.exr");
         assert_eq!(kept_size([4096, 2048]), [4096, 2048]);
         assert_eq!(kept_size([8192, 4096]), [2048, 1024]);
         assert_eq!(kept_size([5001, 2500]), [1666, 833]);

@@ -1,17 +1,13 @@
 //! Reading OpenEXR: channels of flat layers as `f32`, laid out on the display window.
 
-use crate::codec::file::open;
-use crate::codec::nearby::missing_file_help;
+use crate::codec::{file::open, image::Format, image::ImageHeader, nearby::missing_file_help};
 use exr::block::reader::{ChunksReader, Reader};
-use exr::math::Vec2;
 use exr::meta::attribute::{IntegerBounds, SampleType};
-use exr::meta::header::Header;
-use exr::prelude::f16;
+use exr::{error::Error as ExrError, math::Vec2, meta::header::Header, prelude::f16};
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
-use std::collections::BTreeMap;
+use lobelia_geometry::{Error, Result};
 use std::io::{Read, Seek, SeekFrom};
-use std::path::Path;
+use std::{collections::BTreeMap, path::Path};
 
 /// Decoded size in bytes above which a file is refused.
 pub(super) const MAX_DECODED_BYTES: usize = 1 << 31;
@@ -57,24 +53,11 @@ fn picture<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Option<Vec<&'a s
     })
 }
 
-/// The header of the picture in an EXR.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct ExrHeader {
-    /// Width of the display window in pixels.
-    pub width: u32,
-    /// Height of the display window in pixels.
-    pub height: u32,
-    /// Number of samples per pixel: gray, gray and alpha, RGB, RGB and alpha.
-    pub channels: usize,
-    /// Bits of a stored color sample: 16 or 32.
-    pub bits: u32,
-}
-
-/// Reads the header of an EXR; `path` is for messages.
+/// Reads the header of the picture in an EXR; `path` is for messages.
 ///
 /// # Errors
 /// As for [`read_exr_layers`]; also if there is no picture, that is, no channels R, G, B or Y.
-pub(crate) fn exr_header(path: &Path, source: impl Read + Seek) -> Result<ExrHeader> {
+pub(crate) fn exr_header(path: &Path, source: impl Read + Seek) -> Result<ImageHeader> {
     Contents::open(path, source)?.picture().map(|(header, _)| header)
 }
 
@@ -82,10 +65,10 @@ pub(crate) fn exr_header(path: &Path, source: impl Read + Seek) -> Result<ExrHea
 ///
 /// # Errors
 /// As for [`exr_header`].
-pub(crate) fn decode_exr_picture(path: &Path, source: impl Read + Seek) -> Result<(ExrHeader, Vec<f32>)> {
+pub(crate) fn decode_exr_picture(path: &Path, source: impl Read + Seek) -> Result<Vec<f32>> {
     let contents = Contents::open(path, source)?;
-    let (header, places) = contents.picture()?;
-    Ok((header, contents.read(&[places])?.swap_remove(0)))
+    let (_, places) = contents.picture()?;
+    Ok(contents.read(&[places])?.swap_remove(0))
 }
 
 /// Reads all channels of all flat layers (half, float or uint) of an EXR file as `f32`.
@@ -94,12 +77,7 @@ pub(crate) fn decode_exr_picture(path: &Path, source: impl Read + Seek) -> Resul
 /// [`Error::Input`] if the file is missing, not an EXR, damaged, truncated, deep, chroma-subsampled, or empty.
 pub fn read_exr_layers(path: impl AsRef<Path>) -> Result<ExrLayers> {
     let path = path.as_ref();
-    decode_exr(path, open(path, missing_file_help)?)
-}
-
-/// [`read_exr_layers`] of a file already open; `path` is for messages.
-fn decode_exr(path: &Path, source: impl Read + Seek) -> Result<ExrLayers> {
-    let contents = Contents::open(path, source)?;
+    let contents = Contents::open(path, open(path, missing_file_help)?)?;
     let [width, height] = contents.size().map(|side| side as u32);
     let (names, places): (Vec<String>, Vec<Vec<Place>>) =
         contents.channels.iter().map(|(name, place)| (name.clone(), vec![*place])).unzip();
@@ -124,11 +102,7 @@ pub(crate) fn read_exr_groups(path: &Path, groups: &[&[&str]]) -> Result<([usize
 }
 
 /// Where a channel lies in the file: the layer, and the channel of it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Place {
-    layer: usize,
-    channel: usize,
-}
+type Place = (usize, usize);
 
 /// An EXR whose headers are read and checked; the pixels follow.
 struct Contents<'p, R> {
@@ -143,12 +117,10 @@ impl<'p, R: Read + Seek> Contents<'p, R> {
     fn open(path: &'p Path, mut source: R) -> Result<Self> {
         let file_bytes = source.seek(SeekFrom::End(0)).map_err(Error::io("read", path))?;
         source.rewind().map_err(Error::io("read", path))?;
-        let file_bytes = usize::try_from(file_bytes).unwrap_or(usize::MAX);
         let reader = exr::block::read(source, false).map_err(|error| exr_error(path, &error))?;
-        let window =
-            check_headers(reader.headers(), file_bytes).map_err(|problem| unusable(path, problem))?;
-        let channels = full_names(reader.headers());
-        Ok(Self { path, reader, window, channels })
+        let window = check_headers(reader.headers(), file_bytes);
+        let window = window.map_err(|problem| unusable(path, problem))?;
+        Ok(Self { path, window, channels: full_names(reader.headers()), reader })
     }
 
     fn size(&self) -> [usize; 2] {
@@ -160,17 +132,19 @@ impl<'p, R: Read + Seek> Contents<'p, R> {
         self.channels.keys().map(String::as_str).collect::<Vec<_>>().join(", ")
     }
 
-    fn picture(&self) -> Result<(ExrHeader, Vec<Place>)> {
+    fn picture(&self) -> Result<(ImageHeader, Vec<Place>)> {
         let Some(names) = picture(self.channels.keys().map(String::as_str)) else {
             let problem = format!("no channels R, G, B or Y; the file has {}", self.names());
             return Err(Error::input(self.path, "", problem, "Write the picture as channels R, G, B."));
         };
         let places: Vec<Place> = names.iter().map(|name| self.channels[*name]).collect();
         self.check_size(places.len())?;
-        let first = &self.reader.headers()[places[0].layer].channels.list[places[0].channel];
+        let (layer, channel) = places[0];
+        let first = &self.reader.headers()[layer].channels.list[channel];
         let bits = 8 * first.sample_type.bytes_per_sample() as u32;
-        let [width, height] = self.size().map(|side| side as u32);
-        Ok((ExrHeader { width, height, channels: places.len(), bits }, places))
+        let ([width, height], channels) = (self.size().map(|side| side as u32), places.len());
+        let format = Format::Exr;
+        Ok((ImageHeader { format, width, height, channels, bits, is_float: true, exif: 1 }, places))
     }
 
     /// Checks that so many channels of the display window fit into memory.
@@ -191,8 +165,8 @@ impl<'p, R: Read + Seek> Contents<'p, R> {
         let ([width, height], corner) = (self.size(), self.window.position);
         let mut buffers: Vec<Vec<f32>> =
             groups.iter().map(|group| vec![0.0; width * height * group.len()]).collect();
-        let damaged = |error: exr::error::Error| exr_error(self.path, &error);
-        let is_wanted = |layer: usize| groups.iter().flatten().any(|place| place.layer == layer);
+        let damaged = |error: ExrError| exr_error(self.path, &error);
+        let is_wanted = |layer: usize| groups.iter().flatten().any(|place| place.0 == layer);
         let largest = Vec2(0, 0);
         let chunks = self
             .reader
@@ -211,13 +185,16 @@ impl<'p, R: Read + Seek> Contents<'p, R> {
                 if !(0..height as i64).contains(&top) {
                     continue;
                 }
-                let place = Place { layer: at.layer, channel: at.channel };
+                let place = (at.layer, at.channel);
                 for (group, buffer) in groups.iter().zip(&mut buffers) {
                     let row = &mut buffer[top as usize * width * group.len()..][..width * group.len()];
                     for offset in (0..group.len()).filter(|offset| group[*offset] == place) {
                         let cells = row.iter_mut().skip(offset).step_by(group.len());
-                        let kind = header.channels.list[at.channel].sample_type;
-                        copy_line(line.value, kind, left, cells);
+                        let samples = floats(line.value, header.channels.list[at.channel].sample_type);
+                        // Samples without a cell are left out.
+                        let inside = samples.into_iter().skip((-left).max(0) as usize);
+                        let cells = cells.skip(left.max(0) as usize);
+                        cells.zip(inside).for_each(|(cell, sample)| *cell = sample);
                     }
                 }
             }
@@ -226,49 +203,32 @@ impl<'p, R: Read + Seek> Contents<'p, R> {
     }
 }
 
-/// Converts samples, the first of which belongs to the cell `left`; those without a cell are left out.
-fn copy_line<'a>(bytes: &[u8], kind: SampleType, left: i64, cells: impl Iterator<Item = &'a mut f32>) {
-    fn put<'a, const N: usize>(
-        bytes: &[u8],
-        left: i64,
-        cells: impl Iterator<Item = &'a mut f32>,
-        decode: impl Fn([u8; N]) -> f32,
-    ) {
-        let samples = bytes.as_chunks().0.iter().skip((-left).max(0) as usize);
-        cells.skip(left.max(0) as usize).zip(samples).for_each(|(cell, sample)| *cell = decode(*sample));
-    }
+/// Samples of this type as floats.
+fn floats(raw: &[u8], kind: SampleType) -> Vec<f32> {
     match kind {
-        SampleType::F16 => put(bytes, left, cells, |sample| f16::from_ne_bytes(sample).to_f32()),
-        SampleType::F32 => put(bytes, left, cells, f32::from_ne_bytes),
-        SampleType::U32 => put(bytes, left, cells, |sample| u32::from_ne_bytes(sample) as f32),
+        SampleType::F16 => raw.as_chunks().0.iter().map(|half| f16::from_ne_bytes(*half).to_f32()).collect(),
+        SampleType::F32 => raw.as_chunks().0.iter().map(|float| f32::from_ne_bytes(*float)).collect(),
+        SampleType::U32 => raw.as_chunks().0.iter().map(|uint| u32::from_ne_bytes(*uint) as f32).collect(),
     }
 }
 
 /// The display window, if this reader can decode the headers.
-fn check_headers(headers: &[Header], file_bytes: usize) -> Result<IntegerBounds, String> {
+fn check_headers(headers: &[Header], file_bytes: u64) -> Result<IntegerBounds, &'static str> {
     let window = headers.first().ok_or("the file has no layers")?.shared_attributes.display_window;
     for header in headers {
-        // Each chunk has 8 bytes in the offset table and at least 8 of its own.
-        if header.chunk_count > file_bytes / 16 {
-            return Err(
-                "the file is damaged or truncated: its header declares more data than the file contains"
-                    .into(),
-            );
-        }
         let block = header.max_block_pixel_size();
         let area = block.width().checked_mul(block.height());
         let bytes = area.and_then(|area| area.checked_mul(header.channels.bytes_per_pixel));
-        if bytes.is_none_or(|bytes| bytes > MAX_DECODED_BYTES) {
-            let (width, height) = (block.width(), block.height());
-            return Err(format!(
-                "the header declares tiles of {width}×{height} pixels, more than the file can hold"
-            ));
+        // Each chunk has 8 bytes in the offset table and at least 8 of its own.
+        let is_possible = header.chunk_count as u64 <= file_bytes / 16;
+        if !is_possible || bytes.is_none_or(|bytes| bytes > MAX_DECODED_BYTES) {
+            return Err("the file is damaged or truncated: its header declares more data than it can hold");
         }
         if header.deep {
-            return Err("deep data are not supported".into());
+            return Err("deep data are not supported");
         }
         if header.channels.list.iter().any(|channel| channel.sampling != Vec2(1, 1)) {
-            return Err("subsampled channels (luminance-chroma) are not supported".into());
+            return Err("subsampled channels (luminance-chroma) are not supported");
         }
     }
     Ok(window)
@@ -283,35 +243,34 @@ fn full_names(headers: &[Header]) -> BTreeMap<String, Place> {
         for (channel, description) in header.channels.list.iter().enumerate() {
             let name = description.name.to_string();
             let name = if name.starts_with(&prefix) { name } else { format!("{prefix}{name}") };
-            channels.entry(name).or_insert(Place { layer, channel });
+            channels.entry(name).or_insert((layer, channel));
         }
     }
     channels
 }
 
-fn unusable(path: &Path, problem: String) -> Error {
-    let help = "Write the file again as flat scan lines or tiles at full resolution.";
+fn unusable(path: &Path, problem: impl Into<String>) -> Error {
+    let help = "Write the file again as flat scan lines or tiles at full resolution, with ZIP, PIZ or no compression.";
     Error::input(path, "", problem, help)
 }
 
-fn exr_error(path: &Path, error: &exr::error::Error) -> Error {
-    let (problem, help) = match error {
-        exr::error::Error::NotSupported(what) => (
-            format!("this kind of EXR cannot be read: {what}"),
-            "Write it again with ZIP, PIZ or no compression, without deep data.",
-        ),
-        other => (format!("the EXR is damaged or truncated: {other}"), "Copy or render the file again."),
-    };
-    Error::input(path, "", problem, help)
+fn exr_error(path: &Path, error: &ExrError) -> Error {
+    match error {
+        ExrError::NotSupported(what) => unusable(path, format!("this kind of EXR cannot be read: {what}")),
+        other => {
+            let problem = format!("the EXR is damaged or truncated: {other}");
+            Error::input(path, "", problem, "Copy or render the file again.")
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::test_data::{exr_bytes, exr_of};
+    use crate::codec::test_data::temporary;
     use exr::image::{AnyChannel, FlatSamples};
     use exr::prelude::{
-        AnyChannels, Encoding, Image, ImageAttributes, Layer, LayerAttributes, Layers, WritableImage, f16,
+        AnyChannels, Encoding, Image, ImageAttributes, Layer, LayerAttributes, Layers, WritableImage,
     };
     use std::io::Cursor;
 
@@ -350,48 +309,24 @@ mod tests {
     fn parts_are_laid_out_on_the_display_window() {
         let window = IntegerBounds::new((0, 0), (3, 2));
         let bytes = file_of_parts(&[("one", Vec2(-1, 0), 2.0), ("two", Vec2(2, 1), 5.0)], window);
-        let layers = decode_exr(Path::new("parts.exr"), Cursor::new(&bytes)).unwrap();
+        let (_folder, path) = temporary("parts.exr");
+        std::fs::write(&path, &bytes).unwrap();
+        let layers = read_exr_layers(&path).unwrap();
         assert_eq!((layers.width, layers.height), (3, 2));
         assert_eq!(layers.channels["one.R"], [2.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
         assert_eq!(layers.channels["two.B"], [0.0, 0.0, 0.0, 0.0, 0.0, 5.0]);
         assert!(layers.channels.keys().eq(["one.B", "one.G", "one.R", "two.B", "two.G", "two.R"]));
-        let (header, samples) = decode_exr_picture(Path::new("parts.exr"), Cursor::new(&bytes)).unwrap();
-        assert_eq!(header, ExrHeader { width: 3, height: 2, channels: 3, bits: 32 });
+        let samples = decode_exr_picture(&path, Cursor::new(&bytes)).unwrap();
         assert_eq!(samples[..6], [2.0, 2.0, 2.0, 0.0, 0.0, 0.0]);
-        assert_eq!(exr_header(Path::new("parts.exr"), Cursor::new(&bytes)).unwrap(), header);
-    }
-
-    #[test]
-    fn half_and_uint_are_read() {
-        let halves = FlatSamples::F16(vec![f16::from_f32(0.5), f16::from_f32(2.0)]);
-        let bytes = exr_of(2, 1, vec![("Y", halves), ("id", FlatSamples::U32(vec![7, 9]))]);
-        let path = Path::new("half.exr");
-        let (header, samples) = decode_exr_picture(path, Cursor::new(&bytes)).unwrap();
-        assert_eq!((header.bits, header.channels, samples), (16, 1, vec![0.5, 2.0]));
-        let channels = decode_exr(path, Cursor::new(&bytes)).unwrap().channels;
-        assert_eq!((&channels["Y"][..], &channels["id"][..]), (&[0.5, 2.0][..], &[7.0, 9.0][..]));
-    }
-
-    #[test]
-    fn a_file_cut_short_anywhere_is_an_error() {
-        let bytes = exr_bytes(4, 40, &[("R", vec![0.25; 160]), ("G", vec![0.5; 160]), ("B", vec![1.0; 160])]);
-        let whole = decode_exr(Path::new("whole.exr"), Cursor::new(&bytes)).unwrap();
-        for length in (0..bytes.len()).step_by(3) {
-            match decode_exr(Path::new("cut.exr"), Cursor::new(&bytes[..length])) {
-                Ok(layers) => {
-                    assert_eq!(layers, whole, "wrong pixels from {length} of {} bytes", bytes.len());
-                }
-                Err(error) => assert!(matches!(error, Error::Input { .. })),
-            }
-        }
-        assert!(decode_exr(Path::new("cut.exr"), Cursor::new(&bytes[..bytes.len() - 8])).is_err());
+        let header = exr_header(&path, Cursor::new(&bytes)).unwrap();
+        assert_eq!((header.width, header.height, header.channels, header.bits), (3, 2, 3, 32));
     }
 
     #[test]
     fn absurd_sizes_are_refused_before_memory_is_taken() {
         let window = IntegerBounds::new((0, 0), (60_000, 60_000));
         let bytes = file_of_parts(&[("a", Vec2(0, 0), 1.0)], window);
-        let error = decode_exr(Path::new("huge.exr"), Cursor::new(&bytes)).unwrap_err();
+        let error = exr_header(Path::new("huge.exr"), Cursor::new(&bytes)).unwrap_err();
         assert!(error.to_string().contains("60000×60000"), "{error}");
     }
 }

@@ -4,21 +4,17 @@
 //! times as fast as the level that the `exr` crate has, for files that are larger by a twentieth.
 
 use crate::codec::exr::{ExrLayers, read_exr_groups};
-use crate::codec::file::{check_finite, write_file};
+use crate::codec::file::{check_finite, not_written, write_file};
 use exr::block::chunk::{Chunk, CompressedBlock, CompressedScanLineBlock};
-use exr::block::writer::ChunksWriter;
-use exr::math::Vec2;
 use exr::meta::attribute::{ChannelDescription, LineOrder, SampleType, Text};
 use exr::meta::header::{Header, LayerAttributes};
 use exr::meta::{BlockDescription, Headers};
-use flate2::Compression;
-use flate2::write::ZlibEncoder;
+use exr::{block::writer::ChunksWriter, math::Vec2};
+use flate2::{Compression, write::ZlibEncoder};
 use glam::Vec3;
-use lobelia_geometry::view::{BLOCK_ROWS, Frame};
-use lobelia_geometry::{Error, Result};
+use lobelia_geometry::{Error, Result, view::BLOCK_ROWS, view::Frame};
 use rayon::prelude::*;
-use std::io::Write as _;
-use std::path::Path;
+use std::{io::Write as _, path::Path};
 
 const COLOR: [&str; 3] = ["R", "G", "B"];
 const DIFFUSE: [&str; 3] = ["diffuse.R", "diffuse.G", "diffuse.B"];
@@ -31,46 +27,30 @@ const DEPTH: &str = "depth.Z";
 /// One channel's values of some rows.
 struct Column<'a> {
     name: &'a str,
-    values: Values<'a>,
+    count: usize,
+    at: Box<dyn Fn(usize) -> f32 + Sync + 'a>,
 }
 
-/// The values of a channel: a list of them, or an axis of vectors.
-enum Values<'a> {
-    Plain(&'a [f32]),
-    Axis(&'a [Vec3], usize),
-}
-
-impl Column<'_> {
-    fn len(&self) -> usize {
-        match self.values {
-            Values::Plain(values) => values.len(),
-            Values::Axis(values, _) => values.len(),
-        }
-    }
-
-    fn at(&self, i: usize) -> f32 {
-        match self.values {
-            Values::Plain(values) => values[i],
-            Values::Axis(values, axis) => values[i][axis],
-        }
+impl<'a> Column<'a> {
+    fn new(name: &'a str, values: &'a [f32]) -> Self {
+        Self { name, count: values.len(), at: Box::new(|i| values[i]) }
     }
 }
 
 /// The channels of a frame in the order of a file: by name.
 fn columns(frame: &Frame) -> Vec<Column<'_>> {
-    let plain = [(ALPHA, &frame.alpha), (DEPTH, &frame.depth)];
-    let triples = [
+    let mut columns = vec![Column::new(ALPHA, &frame.alpha), Column::new(DEPTH, &frame.depth)];
+    for (names, values) in [
         (COLOR, &frame.color),
         (DIFFUSE, &frame.diffuse),
         (SPECULAR, &frame.specular),
         (ALBEDO, &frame.albedo),
         (NORMAL, &frame.normal),
-    ];
-    let plain = plain.map(|(name, values)| Column { name, values: Values::Plain(values) });
-    let triples = triples.into_iter().flat_map(|(names, values)| {
-        [0, 1, 2].map(|axis| Column { name: names[axis], values: Values::Axis(values, axis) })
-    });
-    let mut columns: Vec<Column> = plain.into_iter().chain(triples).collect();
+    ] {
+        let count = values.len();
+        let column = |axis| Column { name: names[axis], count, at: Box::new(move |i| values[i][axis]) };
+        columns.extend([0, 1, 2].map(column));
+    }
     columns.sort_by_key(|column| column.name);
     columns
 }
@@ -103,9 +83,7 @@ pub fn write_frame_rows(
 /// cannot be written.
 pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()> {
     let size = [channels.width as usize, channels.height as usize];
-    let column = |(name, values)| Column { name, values: Values::Plain(values) };
-    let columns: Vec<Column> =
-        channels.channels.iter().map(|(name, values)| column((name.as_str(), values.as_slice()))).collect();
+    let columns: Vec<_> = channels.channels.iter().map(|(name, values)| Column::new(name, values)).collect();
     write_rows(path.as_ref(), &columns, size, |rows| rows.push_columns(size, &columns))
 }
 
@@ -117,7 +95,7 @@ fn write_rows(
     fill: impl FnOnce(&mut FrameRows) -> Result<()>,
 ) -> Result<()> {
     if size.contains(&0) || columns.is_empty() {
-        return Err(refused(path, "there are no pixels or no channels to write".to_owned()));
+        return Err(not_written(path, "there are no pixels or no channels to write"));
     }
     let channels = columns.iter().map(|column| ChannelDescription::named(column.name, SampleType::F32));
     let (zip, lines) = (exr::compression::Compression::ZIP16, BlockDescription::ScanLines);
@@ -133,7 +111,11 @@ fn write_rows(
         let written = exr::block::write(writer, Headers::from_iter([header]), true, |_, chunks| {
             let mut put = |index: usize, chunk: Chunk| chunks.write_chunk(index, chunk);
             let mut rows = FrameRows { path, size, next_row: 0, waiting: Vec::new(), put: &mut put };
-            outcome = fill(&mut rows).and_then(|()| rows.complete());
+            outcome = fill(&mut rows);
+            let (pushed, all) = (rows.next_row, size[1]);
+            if outcome.is_ok() && pushed != all {
+                outcome = Err(not_written(path, format!("only {pushed} of {all} rows were rendered")));
+            }
             if outcome.is_ok() { Ok(()) } else { Err(exr::error::Error::Aborted) }
         });
         outcome.and_then(|()| written.map_err(|error| failed(path, error)))
@@ -163,8 +145,24 @@ impl FrameRows<'_> {
 
     /// Writes the next rows: `size` is their width and number.
     fn push_columns(&mut self, size: [usize; 2], columns: &[Column]) -> Result<()> {
-        self.check(size, columns)?;
-        let ([width, height], first_block) = (size, self.next_row / BLOCK_ROWS);
+        let ([width, height], start, first_block) = (size, self.next_row, self.next_row / BLOCK_ROWS);
+        for Column { name, count, at } in columns {
+            check_finite(self.path, (0..*count).map(at), |at| {
+                let (x, y) = (at % width.max(1), start + at / width.max(1));
+                format!("channel {name} is not finite at pixel ({x}, {y})")
+            })?;
+            if *count != width * height {
+                let problem = format!("channel {name} has {count} values, not {}", width * height);
+                return Err(not_written(self.path, problem));
+            }
+        }
+        let ([whole_width, whole_height], end) = (self.size, start + height);
+        if width != whole_width || height == 0 || end > whole_height {
+            let problem = format!(
+                "rows {start} to {end} of {width} pixels do not fit a picture of {whole_width}×{whole_height}"
+            );
+            return Err(not_written(self.path, problem));
+        }
         self.next_row += height;
         let row_bytes = 4 * width * columns.len();
         let mut bytes = std::mem::take(&mut self.waiting);
@@ -173,7 +171,7 @@ impl FrameRows<'_> {
         bytes[start..].par_chunks_exact_mut(row_bytes).enumerate().for_each(|(row, bytes)| {
             for (column, cells) in columns.iter().zip(bytes.chunks_exact_mut(4 * width)) {
                 let cells = cells.as_chunks_mut().0.iter_mut();
-                (row * width..).zip(cells).for_each(|(i, cell)| *cell = column.at(i).to_le_bytes());
+                (row * width..).zip(cells).for_each(|(i, cell)| *cell = (column.at)(i).to_le_bytes());
             }
         });
         let block_bytes = BLOCK_ROWS * row_bytes;
@@ -187,38 +185,6 @@ impl FrameRows<'_> {
             (self.put)(block, chunk?).map_err(|error| failed(self.path, error))?;
         }
         Ok(())
-    }
-
-    fn check(&self, [width, height]: [usize; 2], columns: &[Column]) -> Result<()> {
-        let ([whole_width, whole_height], start) = (self.size, self.next_row);
-        for column in columns {
-            check_finite(self.path, (0..column.len()).map(|i| column.at(i)), |at| {
-                let (x, y) = (at % width.max(1), start + at / width.max(1));
-                format!("channel {} is not finite at pixel ({x}, {y})", column.name)
-            })?;
-        }
-        let count = width * height;
-        if let Some(column) = columns.iter().find(|column| column.len() != count) {
-            let problem = format!("channel {} has {} values, not {count}", column.name, column.len());
-            return Err(refused(self.path, problem));
-        }
-        let end = start + height;
-        if width != whole_width || height == 0 || end > whole_height {
-            let picture = format!("{whole_width}×{whole_height}");
-            let problem =
-                format!("rows {start} to {end} of {width} pixels do not fit a picture of {picture}");
-            return Err(refused(self.path, problem));
-        }
-        Ok(())
-    }
-
-    /// Checks that all rows were pushed.
-    fn complete(&self) -> Result<()> {
-        let (rows, height) = (self.next_row, self.size[1]);
-        if rows == height {
-            return Ok(());
-        }
-        Err(refused(self.path, format!("only {rows} of {height} rows were rendered")))
     }
 }
 
@@ -245,12 +211,8 @@ fn compressed(block: usize, data: &[u8]) -> Result<Chunk> {
 fn failed(path: &Path, error: exr::error::Error) -> Error {
     match error {
         exr::error::Error::Io(source) => Error::io("write", path)(source),
-        other => refused(path, other.to_string()),
+        other => not_written(path, other),
     }
-}
-
-fn refused(path: &Path, problem: String) -> Error {
-    Error::run(format!("writing {}", path.display()), problem)
 }
 
 /// A layer of a [`Frame`] in three channels, which can be left out on reading.
@@ -267,9 +229,6 @@ pub enum Layer {
 }
 
 impl Layer {
-    /// All of them.
-    pub const ALL: [Self; 4] = [Self::Diffuse, Self::Specular, Self::Albedo, Self::Normal];
-
     /// Its channels, and its place in a frame.
     fn of(self, frame: &mut Frame) -> (&'static [&'static str], &mut Vec<Vec3>) {
         match self {
@@ -287,7 +246,8 @@ impl Layer {
 /// As for [`read_frame_layers`].
 pub fn read_frame(path: impl AsRef<Path>) -> Result<Frame> {
     let path = path.as_ref();
-    let mut frame = read_frame_layers(path, &Layer::ALL)?;
+    let layers = [Layer::Diffuse, Layer::Specular, Layer::Albedo, Layer::Normal];
+    let mut frame = read_frame_layers(path, &layers)?;
     frame.depth = read_exr_groups(path, &[&[DEPTH]])?.1.swap_remove(0);
     Ok(frame)
 }
@@ -316,12 +276,11 @@ pub fn read_frame_layers(path: impl AsRef<Path>, layers: &[Layer]) -> Result<Fra
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::exr::read_exr_layers;
+    use crate::codec::{exr::read_exr_layers, test_data::frame, test_data::temporary};
 
     #[test]
     fn rows_that_cannot_be_compressed_are_kept_as_they_are() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("noise.exr");
+        let (_folder, path) = temporary("noise.exr");
         let noise = |i: u32| {
             let mixed = (i.wrapping_mul(0x9e37_79b9) ^ i << 7).wrapping_mul(0x85eb_ca6b);
             f32::from_bits((mixed ^ mixed >> 13).wrapping_mul(0xc2b2_ae35) & 0xbfff_ffff)
@@ -335,28 +294,9 @@ mod tests {
         assert_eq!(read_exr_layers(&path).unwrap().channels, layers.channels);
     }
 
-    fn frame(width: usize, height: usize) -> Frame {
-        let vectors = |seed: usize| -> Vec<Vec3> {
-            (0..width * height).map(|i| Vec3::new(i as f32 * 0.37, seed as f32 - i as f32, 1e-30)).collect()
-        };
-        let values = |seed: usize| (0..width * height).map(|i| (i * seed) as f32 * 0.01).collect();
-        Frame {
-            width,
-            height,
-            color: vectors(1),
-            alpha: values(3),
-            diffuse: vectors(2),
-            specular: vectors(3),
-            albedo: vectors(4),
-            normal: vectors(5),
-            depth: values(7),
-        }
-    }
-
     #[test]
     fn frames_round_trip_bit_for_bit() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("view.exr");
+        let (_folder, path) = temporary("view.exr");
         let written = frame(19, 35);
         write_frame(&path, &written).unwrap();
         assert_eq!(read_frame(&path).unwrap(), written);
@@ -379,8 +319,7 @@ mod tests {
 
     #[test]
     fn bands_of_any_height_give_the_bytes_of_the_whole() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("view.exr");
+        let (_folder, path) = temporary("view.exr");
         for height in [1, 15, 16, 37, 48] {
             let whole = frame(11, height);
             write_frame(&path, &whole).unwrap();
@@ -394,8 +333,7 @@ mod tests {
 
     #[test]
     fn bad_rows_and_frames_are_refused_and_leave_no_file() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("view.exr");
+        let (folder, path) = temporary("view.exr");
         let refused = |bands: &[&Frame], words: &str| {
             let pushed = write_frame_rows(&path, [5, 20], |file| bands.iter().try_for_each(|b| file.push(b)));
             let message = pushed.unwrap_err().to_string();
@@ -419,8 +357,7 @@ mod tests {
 
     #[test]
     fn a_missing_layer_is_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("plain.exr");
+        let (_folder, path) = temporary("plain.exr");
         let mut channels = ExrLayers { width: 2, height: 1, ..ExrLayers::default() };
         channels.insert_triple(COLOR, &[Vec3::X, Vec3::Y]);
         write_channels(&path, &channels).unwrap();

@@ -1,15 +1,11 @@
 //! Films of frames that are PNG files: an MP4 by the program `ffmpeg`, or a GIF where it is not installed.
 
 use crate::codec::{file, png_file};
-use image::codecs::gif::{GifEncoder, Repeat};
-use image::{Delay, DynamicImage, ImageError, RgbImage};
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::{Error, Result};
-use std::ffi::OsStr;
-use std::fs::{self, File};
+use image::{Delay, DynamicImage, ImageError, RgbImage, codecs::gif::GifEncoder, codecs::gif::Repeat};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use std::io::{self, ErrorKind, Write as _};
-use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, Stdio};
+use std::{ffi::OsStr, fs, fs::File, path::Path, path::PathBuf};
 
 /// The program that encodes films.
 pub const FFMPEG: &str = "ffmpeg";
@@ -44,12 +40,11 @@ fn write_by(program: &OsStr, stem: &Path, frames: &[PathBuf], fps: u32) -> Resul
 
 /// Writes an MP4; `false` if there is no such program.
 fn write_mp4(program: &OsStr, path: &Path, frames: &[PathBuf], fps: u32) -> Result<bool> {
-    let failed =
-        |problem: String| Error::run(format!("{} of {}", program.display(), path.display()), problem);
+    let failed = |why: String| Error::run(format!("{} of {}", program.display(), path.display()), why);
     let first = frames.first().ok_or_else(|| failed("a film needs at least one frame".into()))?;
     let size = even(&png_file::read_rgb8(first)?).dimensions();
     // The program works in a folder of its own: no path is taken for an option or a protocol.
-    let folder = file::scratch_folder(path.parent().unwrap_or(Path::new(".")))?;
+    let folder = file::scratch_folder(file::folder_of(path))?;
     let [made, said] = ["film.mp4", "said.txt"].map(|name| folder.path().join(name));
     let log = File::create(&said).map_err(Error::io("write", &said))?;
     let mut command = Command::new(program);
@@ -62,7 +57,7 @@ fn write_mp4(program: &OsStr, path: &Path, frames: &[PathBuf], fps: u32) -> Resu
         Err(error) => return Err(failed(format!("it cannot be started: {error}"))),
     };
     // The program ends when it gets no more frames. One that has ended before takes none, and has said why.
-    let fed = child.stdin.take().map_or(Ok(true), |input| feed(input, frames, size));
+    let fed = child.stdin.take().map_or(Ok(true), |input| feed(input, frames));
     let status = child.wait().map_err(|error| failed(error.to_string()))?;
     check_interrupted()?;
     if !(fed? && status.success()) {
@@ -80,14 +75,10 @@ fn write_mp4(program: &OsStr, path: &Path, frames: &[PathBuf], fps: u32) -> Resu
 }
 
 /// Gives the frames to a program; `false` if it ends before it has them all.
-fn feed(mut input: ChildStdin, frames: &[PathBuf], size: (u32, u32)) -> Result<bool> {
+fn feed(mut input: ChildStdin, frames: &[PathBuf]) -> Result<bool> {
     for path in frames {
         check_interrupted()?;
-        let frame = even(&png_file::read_rgb8(path)?);
-        if frame.dimensions() != size {
-            return Err(Error::run("making a film", format!("{} has another size", path.display())));
-        }
-        if input.write_all(frame.as_raw()).is_err() {
+        if input.write_all(even(&png_file::read_rgb8(path)?).as_raw()).is_err() {
             return Ok(false);
         }
     }
@@ -103,7 +94,7 @@ fn even(picture: &RgbImage) -> RgbImage {
 fn write_gif(path: &Path, frames: &[PathBuf], fps: u32) -> Result<()> {
     let failed = |error: ImageError| match error {
         ImageError::IoError(source) => Error::io("write", path)(source),
-        other => Error::run(format!("writing {}", path.display()), other.to_string()),
+        other => file::not_written(path, other),
     };
     file::write_file(path, |writer| {
         let mut encoder = GifEncoder::new_with_speed(writer, GIF_SPEED);
@@ -128,8 +119,7 @@ fn hundredths(i: u32, fps: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::codecs::gif::GifDecoder;
-    use image::{AnimationDecoder, Rgb};
+    use image::{AnimationDecoder, Rgb, codecs::gif::GifDecoder};
 
     /// Frames of uneven sides in a folder.
     fn frames(folder: &Path, count: u32) -> Vec<PathBuf> {

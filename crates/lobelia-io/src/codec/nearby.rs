@@ -1,38 +1,23 @@
 //! Help for wrong names: similar names that exist, and the contents of a folder.
 
-use std::cmp::Ordering;
-use std::path::Path;
+use crate::codec::file::folder_of;
+use std::{cmp::Ordering, path::Path};
 
 /// Natural order of names: runs of digits compare as numbers, so that `r_2` comes before `r_10`.
 pub fn natural_order(a: &str, b: &str) -> Ordering {
-    let (mut rest_a, mut rest_b) = (a, b);
-    loop {
-        let (chunk_a, chunk_b) = (leading_chunk(rest_a), leading_chunk(rest_b));
-        if chunk_a.is_empty() || chunk_b.is_empty() {
-            // Names that differ by leading zeros only ("r_1", "r_01") still need a definite order.
-            return chunk_a.len().cmp(&chunk_b.len()).then_with(|| a.cmp(b));
-        }
-        let order = compare_chunks(chunk_a, chunk_b);
-        if order != Ordering::Equal {
-            return order;
-        }
-        (rest_a, rest_b) = (&rest_a[chunk_a.len()..], &rest_b[chunk_b.len()..]);
+    fn runs(text: &str) -> impl Iterator<Item = &[u8]> {
+        text.as_bytes().chunk_by(|a, b| a.is_ascii_digit() == b.is_ascii_digit())
     }
-}
-
-fn leading_chunk(text: &str) -> &str {
-    let starts_with_digit = text.starts_with(|c: char| c.is_ascii_digit());
-    let end = text.find(|c: char| c.is_ascii_digit() != starts_with_digit).unwrap_or(text.len());
-    &text[..end]
-}
-
-fn compare_chunks(a: &str, b: &str) -> Ordering {
-    let both_numbers = a.as_bytes()[0].is_ascii_digit() && b.as_bytes()[0].is_ascii_digit();
-    if !both_numbers {
-        return a.cmp(b);
-    }
-    let (a, b) = (a.trim_start_matches('0'), b.trim_start_matches('0'));
-    a.len().cmp(&b.len()).then_with(|| a.cmp(b))
+    let by_value = |(a, b): (&[u8], &[u8])| {
+        if !(a[0].is_ascii_digit() && b[0].is_ascii_digit()) {
+            return a.cmp(b);
+        }
+        let [a, b] = [a, b].map(|run| &run[run.iter().take_while(|digit| **digit == b'0').count()..]);
+        a.len().cmp(&b.len()).then_with(|| a.cmp(b))
+    };
+    let order = runs(a).zip(runs(b)).map(by_value).find(|order| order.is_ne());
+    // Names that differ by leading zeros only ("r_1", "r_01") still need a definite order.
+    order.unwrap_or_else(|| runs(a).count().cmp(&runs(b).count()).then_with(|| a.cmp(b)))
 }
 
 /// Up to three of `candidates` that are similar to `name`, closest first.
@@ -54,10 +39,7 @@ pub fn closest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) ->
 
 /// Help for a missing `path`: similar names, or how much its folder holds, or the part of the path that is missing.
 pub fn missing_file_help(path: &Path) -> String {
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
+    let folder = folder_of(path);
     let entries = match std::fs::read_dir(folder) {
         Ok(entries) => entries,
         Err(error) if error.kind() == std::io::ErrorKind::PermissionDenied => {
@@ -90,13 +72,6 @@ mod tests {
         let mut names = ["r_10", "r_2", "r_02", "a", "r_1_b", "r_1", "10", "9", ""];
         names.sort_by(|a, b| natural_order(a, b));
         assert_eq!(names, ["", "9", "10", "a", "r_1", "r_1_b", "r_02", "r_2", "r_10"]);
-    }
-
-    #[test]
-    fn close_names_are_found() {
-        let names = ["rgb_000001", "rgb_000002", "depth"];
-        assert_eq!(closest("rgb_00001", names), ["rgb_000001", "rgb_000002"]);
-        assert!(closest("elephant", names).is_empty());
     }
 
     #[test]

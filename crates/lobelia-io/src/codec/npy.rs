@@ -9,10 +9,8 @@ use glam::{DVec3, Vec3};
 use lobelia_geometry::{Error, Result};
 use lobelia_world::light::{LightLobe, MAX_RADIANCE, MAX_SHARPNESS, MOST_LOBES};
 use serde::{Deserialize, Serialize};
-use std::io::{Cursor, Read as _};
-use std::path::{Path, PathBuf};
-use zip::ZipArchive;
-use zip::result::ZipError;
+use std::{io::Cursor, io::Read as _, path::Path, path::PathBuf};
+use zip::{ZipArchive, result::ZipError};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Most bytes of a dictionary.
@@ -37,24 +35,6 @@ pub enum NpyConvention {
     PhySgFit,
 }
 
-impl NpyConvention {
-    /// World direction of an axis in the file.
-    fn world_from_file(self, axis: DVec3) -> DVec3 {
-        match self {
-            Self::Lobelia => axis,
-            Self::PhySgFit => DVec3::new(axis.z, axis.y, -axis.x),
-        }
-    }
-
-    /// Axis in the file of a world direction.
-    fn file_from_world(self, axis: Vec3) -> Vec3 {
-        match self {
-            Self::Lobelia => axis,
-            Self::PhySgFit => Vec3::new(-axis.z, axis.y, axis.x),
-        }
-    }
-}
-
 /// A matrix, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Matrix {
@@ -71,7 +51,7 @@ pub struct Matrix {
 /// # Errors
 /// The problem, as the rest of a sentence that starts with the name of the file.
 pub(crate) fn parse_matrix(bytes: &[u8]) -> Result<Matrix, String> {
-    let (Header { descr, is_fortran, shape }, data) = split(bytes)?;
+    let ((descr, is_fortran, shape), data) = split(bytes)?;
     let [rows, columns] = shape[..] else {
         return Err(format!("has shape {shape:?}, not that of a matrix"));
     };
@@ -106,7 +86,7 @@ pub fn read_lobes(path: impl AsRef<Path>, convention: NpyConvention) -> Result<V
     // More than a header and the most rows are read only to say that there are more.
     let bytes = read_up_to(path, MOST_FILE_BYTES, |_| "check the path of the lobes".to_owned())?;
     let bad = |problem: String| Error::input(path, "", problem, HELP);
-    let shape = split(&bytes).map_err(bad)?.0.shape;
+    let ((_, _, shape), _) = split(&bytes).map_err(bad)?;
     match shape[..] {
         [0, 5 | 7] => return Err(bad("has no rows, so there are no lobes".to_owned())),
         [rows, 5 | 7] if rows > MOST_LOBES => {
@@ -128,9 +108,10 @@ pub fn read_lobes(path: impl AsRef<Path>, convention: NpyConvention) -> Result<V
 pub fn write_lobes(path: impl AsRef<Path>, lobes: &[LightLobe], convention: NpyConvention) -> Result<()> {
     let path = path.as_ref();
     let row = |lobe: &LightLobe| {
-        let axis = convention.file_from_world(lobe.axis);
+        let Vec3 { x, y, z } = lobe.axis;
+        let axis = if convention == NpyConvention::PhySgFit { [-z, y, x] } else { [x, y, z] };
         let [r, g, b] = lobe.amplitude.to_array();
-        [axis.x, axis.y, axis.z, lobe.sharpness, r, g, b]
+        [axis[0], axis[1], axis[2], lobe.sharpness, r, g, b]
     };
     let values: Vec<f32> = lobes.iter().flat_map(row).collect();
     check_finite(path, values.iter().copied(), |at| format!("lobe {} is not finite", at / 7))?;
@@ -163,24 +144,17 @@ fn lobe_of_row(path: &Path, row: usize, v: &[f64], convention: NpyConvention) ->
         )));
     }
     let unit = if (length - 1.0).abs() > 1e-6 { file_axis / length } else { file_axis };
+    let turned = DVec3::new(unit.z, unit.y, -unit.x);
     let amplitude = if v.len() == 7 { DVec3::new(v[4], v[5], v[6]) } else { DVec3::splat(v[4]) };
     Ok(LightLobe {
-        axis: convention.world_from_file(unit).as_vec3(),
+        axis: if convention == NpyConvention::PhySgFit { turned } else { unit }.as_vec3(),
         sharpness: v[3].abs() as f32,
         amplitude: amplitude.abs().as_vec3(),
     })
 }
 
-/// The header of an array.
-#[derive(Debug, PartialEq)]
-struct Header<'a> {
-    /// The type of the values in NumPy's short form, e.g. `<f4`.
-    descr: &'a str,
-    /// True if the first index runs fastest.
-    is_fortran: bool,
-    /// Lengths of the array.
-    shape: Vec<usize>,
-}
+/// The header of an array: the type of the values in NumPy's short form, e.g. `<f4`; whether the first index runs fastest; and its lengths.
+type Header<'a> = (&'a str, bool, Vec<usize>);
 
 /// The header, and the bytes after it.
 fn split(bytes: &[u8]) -> Result<(Header<'_>, &[u8]), String> {
@@ -206,7 +180,7 @@ fn dictionary(text: &str) -> Option<Header<'_>> {
     let lengths = lengths.split(',').map(str::trim).filter(|length| !length.is_empty());
     // Python 2 marks long numbers by an L.
     let shape = lengths.map(|length| length.trim_end_matches('L').parse().ok()).collect::<Option<_>>()?;
-    (is_fortran || order.starts_with("False")).then_some(Header { descr, is_fortran, shape })
+    (is_fortran || order.starts_with("False")).then_some((descr, is_fortran, shape))
 }
 
 /// An `.npz` file whose matrices are read one by one.
@@ -268,9 +242,8 @@ fn damaged(path: &Path, place: &str, error: &ZipError) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::test_data::{npy, npy_matrix, write_npz};
+    use crate::codec::test_data::{npy, npy_matrix, temporary, write_npz};
     use lobelia_sg::fibonacci::fibonacci_axes;
-    use zip::CompressionMethod;
 
     fn lobes() -> Vec<LightLobe> {
         let lobe = |(i, axis)| LightLobe {
@@ -286,8 +259,7 @@ mod tests {
     }
 
     fn read(bytes: &[u8], convention: NpyConvention) -> Result<Vec<LightLobe>> {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("lobes.npy");
+        let (_folder, path) = temporary("lobes.npy");
         std::fs::write(&path, bytes).unwrap();
         read_lobes(path, convention)
     }
@@ -300,8 +272,7 @@ mod tests {
 
     #[test]
     fn both_conventions_come_back_bit_for_bit_and_nothing_else_is_written() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("lobes.npy");
+        let (_folder, path) = temporary("lobes.npy");
         let mut broken = lobes();
         broken[3].amplitude.y = f32::NAN;
         for convention in [NpyConvention::Lobelia, NpyConvention::PhySgFit] {
@@ -370,7 +341,7 @@ mod tests {
         for (version, text) in
             (1..=3).flat_map(|version| [good, others[0], others[1]].map(|text| (version, text)))
         {
-            let expected = Header { descr: "<f4", is_fortran: true, shape: vec![3, 7] };
+            let expected = ("<f4", true, vec![3, 7]);
             assert_eq!(split(&file_of(version, text)), Ok((expected, &b"ab"[..])));
         }
         for bad in [
@@ -423,27 +394,9 @@ mod tests {
     }
 
     #[test]
-    fn stored_and_deflated_matrices_are_read() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.npz");
-        let values = [1.5, -2.0, 3.0, 4.0, 0.0, 1e300];
-        for method in [CompressionMethod::Stored, CompressionMethod::Deflated] {
-            let matrices = [("a", npy_matrix(2, 3, &values)), ("b", npy_matrix(3, 2, &values))];
-            write_npz(&path, method, &matrices);
-            let mut npz = open(&path).unwrap();
-            let mut names = npz.names();
-            names.sort();
-            assert_eq!(names, ["a", "b"]);
-            let expected = Matrix { rows: 3, columns: 2, values: values.to_vec() };
-            assert_eq!((npz.matrix("b").unwrap(), npz.matrix("c").unwrap()), (Some(expected), None));
-        }
-    }
-
-    #[test]
     fn truncated_archives_are_errors_and_damage_is_not_taken() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.npz");
-        write_npz(&path, CompressionMethod::Deflated, &[("a", npy_matrix(4, 4, &[0.5; 16]))]);
+        let (_folder, path) = temporary("a.npz");
+        write_npz(&path, &[("a", npy_matrix(4, 4, &[0.5; 16]))]);
         let whole = std::fs::read(&path).unwrap();
         for at in (1..whole.len()).step_by(7) {
             std::fs::write(&path, &whole[..at]).unwrap();
@@ -460,10 +413,9 @@ mod tests {
 
     #[test]
     fn bombs_and_other_arrays_are_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.npz");
+        let (_folder, path) = temporary("a.npz");
         let arrays = [("large", npy_matrix(1000, 1000, &[0.0; 1_000_000])), ("hello", b"hello".to_vec())];
-        write_npz(&path, CompressionMethod::Deflated, &arrays);
+        write_npz(&path, &arrays);
         assert!(std::fs::metadata(&path).unwrap().len() < 20_000);
         let mut npz = open(&path).unwrap();
         refused(npz.matrix("large"), "`large`: the array has more than 1 MiB");

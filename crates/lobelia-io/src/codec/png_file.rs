@@ -5,8 +5,7 @@ use crate::codec::image::{Decoded, ImageSamples, Orientation, decode_samples};
 use image::{GrayImage, RgbImage};
 use lobelia_geometry::{Error, Result};
 use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
-use std::io::Write;
-use std::path::Path;
+use std::{io::Write, path::Path};
 
 /// Writes an opaque sRGB picture.
 ///
@@ -14,7 +13,7 @@ use std::path::Path;
 /// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture.
 pub fn write_rgb8(path: impl AsRef<Path>, picture: &RgbImage) -> Result<()> {
     let size = picture.dimensions().into();
-    write(path.as_ref(), size, ColorType::Rgb, None, |rows| rows.push(picture.as_raw()))
+    write_rows(path, size, ColorType::Rgb, None, |rows| rows.push(picture.as_raw()))
 }
 
 /// Writes a gray picture, such as a mask.
@@ -23,7 +22,7 @@ pub fn write_rgb8(path: impl AsRef<Path>, picture: &RgbImage) -> Result<()> {
 /// As for [`write_rgb8`].
 pub fn write_gray8(path: impl AsRef<Path>, picture: &GrayImage) -> Result<()> {
     let size = picture.dimensions().into();
-    write(path.as_ref(), size, ColorType::Grayscale, None, |rows| rows.push(picture.as_raw()))
+    write_rows(path, size, ColorType::Grayscale, None, |rows| rows.push(picture.as_raw()))
 }
 
 /// [`write_rgb8`] with a line of text that says which program wrote it ([`software_of`]).
@@ -32,7 +31,7 @@ pub fn write_gray8(path: impl AsRef<Path>, picture: &GrayImage) -> Result<()> {
 /// As for [`write_rgb8`].
 pub fn write_rgb8_by(path: impl AsRef<Path>, picture: &RgbImage, software: &str) -> Result<()> {
     let size = picture.dimensions().into();
-    write(path.as_ref(), size, ColorType::Rgb, Some(software), |rows| rows.push(picture.as_raw()))
+    write_rows(path, size, ColorType::Rgb, Some(software), |rows| rows.push(picture.as_raw()))
 }
 
 /// The program that a PNG says it was written by; `None` if it is no PNG, or does not say.
@@ -49,7 +48,8 @@ const SOFTWARE: &str = "Software";
 const CHUNK_BYTES: usize = 1 << 20;
 
 /// Writes an 8-bit sRGB picture of `size` (width, height) that is never whole in memory: `fill` pushes its rows from the top. The file has
-/// the same bytes, however many rows are pushed at a time, and gets its name when `fill` has succeeded and all rows are there.
+/// the same bytes, however many rows are pushed at a time, and gets its name when `fill` has succeeded and all rows are there. `software` is
+/// the program that it says it was written by.
 ///
 /// # Errors
 /// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture or another number of rows, and whatever
@@ -58,21 +58,13 @@ pub fn write_rows(
     path: impl AsRef<Path>,
     size: [u32; 2],
     color: ColorType,
-    fill: impl FnOnce(&mut PngRows) -> Result<()>,
-) -> Result<()> {
-    write(path.as_ref(), size, color, None, fill)
-}
-
-fn write(
-    path: &Path,
-    size: [u32; 2],
-    color: ColorType,
     software: Option<&str>,
     fill: impl FnOnce(&mut PngRows) -> Result<()>,
 ) -> Result<()> {
+    let path = path.as_ref();
     let failed = |error| match error {
         png::EncodingError::IoError(source) => Error::io("write", path)(source),
-        other => Error::run(format!("writing {}", path.display()), other.to_string()),
+        other => file::not_written(path, other),
     };
     file::write_file(path, |writer| {
         let mut encoder = Encoder::new(writer, size[0], size[1]);
@@ -112,10 +104,9 @@ impl PngRows<'_> {
 /// # Errors
 /// As for [`decode_samples`]; [`Error::Input`] if it is another kind of picture.
 pub(crate) fn read_rgb8(path: &Path) -> Result<RgbImage> {
-    let picture = match decode_samples(path, Orientation::AsStored)? {
-        Decoded { width, height, samples: ImageSamples::Bytes8(samples), .. } => {
-            RgbImage::from_raw(width, height, samples)
-        }
+    let Decoded { header, samples } = decode_samples(path, Orientation::AsStored)?;
+    let picture = match samples {
+        ImageSamples::Bytes8(samples) => RgbImage::from_raw(header.width, header.height, samples),
         _ => None,
     };
     picture.ok_or_else(|| Error::input(path, "", "it is not 8-bit RGB", "Render it again."))
@@ -124,19 +115,8 @@ pub(crate) fn read_rgb8(path: &Path) -> Result<RgbImage> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::{Luma, Rgb};
-
-    #[test]
-    fn pictures_round_trip() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.png");
-        let rgb = RgbImage::from_fn(7, 5, |x, y| Rgb([x as u8 * 30, y as u8 * 40, 200]));
-        write_rgb8(&path, &rgb).unwrap();
-        assert_eq!(image::open(&path).unwrap().into_rgb8(), rgb);
-        let gray = GrayImage::from_fn(5, 2, |x, y| Luma([x as u8 * 50 + y as u8]));
-        write_gray8(&path, &gray).unwrap();
-        assert_eq!(image::open(&path).unwrap(), image::DynamicImage::ImageLuma8(gray));
-    }
+    use crate::codec::test_data::temporary;
+    use image::Rgb;
 
     #[test]
     fn rows_at_a_time_give_the_bytes_of_the_whole() {
@@ -147,7 +127,7 @@ mod tests {
         for rows in [1, 3, 7] {
             let parted =
                 |file: &mut PngRows| picture.as_raw().chunks(rows * 31 * 3).try_for_each(|r| file.push(r));
-            write_rows(&parts, [31, 19], ColorType::Rgb, parted).unwrap();
+            write_rows(&parts, [31, 19], ColorType::Rgb, None, parted).unwrap();
             assert_eq!(std::fs::read(&parts).unwrap(), std::fs::read(&whole).unwrap(), "{rows}");
         }
         assert_eq!(read_rgb8(&parts).unwrap(), picture);
@@ -157,15 +137,14 @@ mod tests {
 
     #[test]
     fn missing_and_surplus_rows_are_refused_and_leave_no_file() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.png");
+        let (folder, path) = temporary("a.png");
         for rows in [0, 3, 5] {
-            let pushed = write_rows(&path, [2, 4], ColorType::Rgb, |file| {
+            let pushed = write_rows(&path, [2, 4], ColorType::Rgb, None, |file| {
                 (0..rows).try_for_each(|_| file.push(&[7; 6]))
             });
             assert!(matches!(pushed, Err(Error::Run { .. } | Error::Io { .. })), "{rows}");
         }
-        let stopped = write_rows(&path, [2, 4], ColorType::Rgb, |_| Err(Error::Interrupted));
+        let stopped = write_rows(&path, [2, 4], ColorType::Rgb, None, |_| Err(Error::Interrupted));
         assert!(matches!(stopped, Err(Error::Interrupted)));
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }

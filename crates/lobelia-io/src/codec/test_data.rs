@@ -4,8 +4,26 @@ use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage,
 };
 use glam::Vec3;
-use std::io::{Cursor, Write};
-use std::path::Path;
+use lobelia_geometry::view::Frame;
+use std::{io::Cursor, io::Write, path::Path, path::PathBuf};
+use tempfile::TempDir;
+
+/// The path of a file in a new folder, which is gone when the first value is dropped.
+pub(crate) fn temporary(name: &str) -> (TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    (folder, path)
+}
+
+/// A frame of finite values, each layer another.
+pub(crate) fn frame(width: usize, height: usize) -> Frame {
+    let vectors = |seed: usize| -> Vec<Vec3> {
+        (0..width * height).map(|i| Vec3::new(i as f32 * 0.37, seed as f32 - i as f32, 1e-30)).collect()
+    };
+    let [color, diffuse, specular, albedo, normal] = [1, 2, 3, 4, 5].map(vectors);
+    let [alpha, depth] = [3, 7].map(|seed| (0..width * height).map(|i| (i * seed) as f32 * 0.01).collect());
+    Frame { width, height, color, alpha, diffuse, specular, albedo, normal, depth }
+}
 
 /// An EXR file.
 pub(crate) fn exr_of(width: usize, height: usize, channels: Vec<(&str, FlatSamples)>) -> Vec<u8> {
@@ -45,11 +63,12 @@ pub(crate) fn npy_matrix(rows: usize, columns: usize, values: &[f64]) -> Vec<u8>
     npy("<f8", false, &format!("({rows}, {columns})"), &data)
 }
 
-/// Writes an `.npz` file of arrays with these names.
-pub(crate) fn write_npz(path: &Path, method: zip::CompressionMethod, arrays: &[(impl AsRef<str>, Vec<u8>)]) {
+/// Writes an `.npz` file of arrays with these names, deflated and stored by turns.
+pub(crate) fn write_npz(path: &Path, arrays: &[(impl AsRef<str>, Vec<u8>)]) {
     let mut archive = zip::ZipWriter::new(std::fs::File::create(path).unwrap());
-    let options = zip::write::SimpleFileOptions::default().compression_method(method);
-    for (name, bytes) in arrays {
+    let methods = [zip::CompressionMethod::Deflated, zip::CompressionMethod::Stored].into_iter().cycle();
+    for ((name, bytes), method) in arrays.iter().zip(methods) {
+        let options = zip::write::SimpleFileOptions::default().compression_method(method);
         archive.start_file(format!("{}.npy", name.as_ref()), options).unwrap();
         archive.write_all(bytes).unwrap();
     }

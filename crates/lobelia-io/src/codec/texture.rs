@@ -40,7 +40,7 @@ pub fn decode_texture(path: &Path, bytes: &[u8], width: u32, height: u32) -> Res
 /// # Errors
 /// If the file cannot be read.
 pub fn read_texture_mask(path: &Path, width: u32, height: u32) -> Result<Vec<f32>> {
-    let mask = read_mask(path, Orientation::Upright)?.mask;
+    let mask = read_mask(path, Orientation::Upright)?;
     let values: Vec<Vec3> = mask.coverage.iter().map(|c| Vec3::splat(*c)).collect();
     let resampled = resample(&values, [mask.width, mask.height], [width, height]);
     Ok(resampled.into_iter().map(|v| v.x).collect())

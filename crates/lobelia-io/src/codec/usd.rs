@@ -2,14 +2,11 @@
 //!
 //! The material is a `UsdPreviewSurface` in its specular workflow: F0 is given, F90 is one, and the lobe is GGX with α = roughness².
 
-use crate::codec::file::check_finite;
-use glam::{Vec2, Vec3};
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::{Error, Result};
-use std::io::{Cursor, Write as _};
-use std::path::Path;
-use zip::write::SimpleFileOptions;
-use zip::{CompressionMethod, ZipWriter};
+use crate::codec::{file::not_written, file::write_bytes, gltf::export::check_mesh};
+use glam::Vec3;
+use lobelia_geometry::{Result, mesh::triangles::Mesh};
+use std::{io::Cursor, io::Write as _, path::Path};
+use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
 /// Where the parts of a package begin: at multiples of this.
 const ALIGNMENT: u16 = 64;
@@ -52,31 +49,23 @@ pub enum UpAxis {
     Z,
 }
 
-/// An image of the light for a `DomeLight`, and how far it is turned about Y.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct UsdLight<'a> {
-    /// File name, beside the USD file.
-    pub file: &'a str,
-    /// Rotation about +Y in degrees from USD's convention: the middle of the image at +Z, the quarter from the left at +X.
-    pub turn_degrees: f32,
-}
-
-/// Writes `path` (`.usda`) and the textures beside it.
+/// Writes `path` (`.usda`) and the textures beside it. Of a `light` there are the file name of its image, beside the USD file, and its rotation
+/// about +Y in degrees from USD's convention: the middle of the image at +Z, the quarter from the left at +X.
 ///
 /// # Errors
-/// [`Error::Run`] for a mesh without texture coordinates, or a number that is not finite; [`Error::Io`] if a file cannot be written.
+/// [`Error::Run`](lobelia_geometry::Error::Run) for a mesh without texture coordinates, or a number that is not finite; [`Error::Io`](lobelia_geometry::Error::Io) if a file cannot be written.
 pub fn write_usda(
     path: &Path,
     mesh: &Mesh,
     material: &UsdMaterial,
     up: UpAxis,
-    light: Option<UsdLight>,
+    light: Option<(&str, f32)>,
 ) -> Result<()> {
     let text = stage(path, mesh, material, up, light)?;
     for image in material.images() {
-        crate::codec::file::write_bytes(&path.with_file_name(&image.name), &image.png)?;
+        write_bytes(&path.with_file_name(&image.name), &image.png)?;
     }
-    crate::codec::file::write_bytes(path, text.as_bytes())
+    write_bytes(path, text.as_bytes())
 }
 
 /// Writes `path` (`.usdz`): the same without a light, with its textures in one file.
@@ -90,32 +79,25 @@ pub fn write_usdz(path: &Path, mesh: &Mesh, material: &UsdMaterial, up: UpAxis) 
     let textures = material.images().map(|image| (image.name.as_str(), image.png.as_slice()));
     // The stage comes first: that is how readers find it.
     let parts = std::iter::once((name.as_str(), text.as_bytes())).chain(textures);
-    let failed = |error: String| Error::run(format!("writing {}", path.display()), error);
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Stored)
         .with_alignment(ALIGNMENT)
         .last_modified_time(zip::DateTime::default());
     for (name, bytes) in parts {
-        archive.start_file(name, options).map_err(|error| failed(error.to_string()))?;
-        archive.write_all(bytes).map_err(|error| failed(error.to_string()))?;
+        archive.start_file(name, options).map_err(|error| not_written(path, error))?;
+        archive.write_all(bytes).map_err(|error| not_written(path, error))?;
     }
-    let bytes = archive.finish().map_err(|error| failed(error.to_string()))?;
-    crate::codec::file::write_bytes(path, bytes.get_ref())
-}
-
-impl<T> UsdInput<T> {
-    fn image(&self) -> Option<&UsdImage> {
-        match self {
-            Self::Texture(image) => Some(image),
-            Self::Value(_) => None,
-        }
-    }
+    let bytes = archive.finish().map_err(|error| not_written(path, error))?;
+    write_bytes(path, bytes.get_ref())
 }
 
 impl UsdMaterial {
     fn images(&self) -> impl Iterator<Item = &UsdImage> {
-        std::iter::once(&self.diffuse).chain(self.specular.image()).chain(self.roughness.image())
+        fn image<T>(input: &UsdInput<T>) -> Option<&UsdImage> {
+            if let UsdInput::Texture(image) = input { Some(image) } else { None }
+        }
+        std::iter::once(&self.diffuse).chain(image(&self.specular)).chain(image(&self.roughness))
     }
 }
 
@@ -125,88 +107,56 @@ fn stage(
     mesh: &Mesh,
     material: &UsdMaterial,
     up: UpAxis,
-    light: Option<UsdLight>,
+    light: Option<(&str, f32)>,
 ) -> Result<String> {
-    let failed = |problem: &str| Error::run(format!("writing {}", path.display()), problem);
-    let Some(uvs) = &mesh.uvs else { return Err(failed("the mesh has no texture coordinates")) };
-    let Some(bounds) = mesh.bounds() else { return Err(failed("the mesh has no triangles")) };
-    let vectors = mesh.positions.iter().chain(&mesh.normals).flat_map(Vec3::to_array);
-    let mut of_material = Vec::new();
-    if let UsdInput::Value(specular) = material.specular {
-        of_material.extend(specular.to_array());
-    }
-    if let UsdInput::Value(roughness) = material.roughness {
-        of_material.push(roughness);
-    }
-    let values = vectors.chain(uvs.iter().flat_map(Vec2::to_array)).chain(of_material);
-    let what = |_| "a position, normal, texture coordinate or value of the material is not finite".to_owned();
-    check_finite(path, values, what)?;
-    let axis = match up {
-        UpAxis::Y => "Y",
-        UpAxis::Z => "Z",
+    let (Some(uvs), Some((low, high))) = (&mesh.uvs, mesh.bounds()) else {
+        return Err(not_written(path, "the mesh has no texture coordinates or no triangles"));
     };
-    let version = env!("CARGO_PKG_VERSION");
-    let mut text = format!(
-        "#usda 1.0\n(\n    defaultPrim = \"Object\"\n    doc = \"lobelia {version}\"\n    metersPerUnit = 1\n    \
-         upAxis = \"{axis}\"\n)\n\ndef Xform \"Object\" (\n    kind = \"component\"\n)\n{{\n"
-    );
-    text += &surface(mesh, uvs, bounds);
-    text += &shaders(material);
-    text += "}\n";
-    if let Some(light) = light {
-        text += &dome(light);
-    }
-    Ok(text)
-}
-
-fn surface(mesh: &Mesh, uvs: &[Vec2], (low, high): (Vec3, Vec3)) -> String {
-    let vectors = |values: &[Vec3]| list(values.iter().map(|v| format!("({}, {}, {})", v.x, v.y, v.z)));
-    // In USD, t points up.
-    let places = list(uvs.iter().map(|uv| format!("({}, {})", uv.x, 1.0 - uv.y)));
-    let counts = list(mesh.triangles.iter().map(|_| "3".to_owned()));
-    let indices = list(mesh.triangles.iter().flatten().map(u32::to_string));
-    let (extent, points, normals) = (vectors(&[low, high]), vectors(&mesh.positions), vectors(&mesh.normals));
-    format!(
-        "    def Mesh \"Surface\" (\n        prepend apiSchemas = [\"MaterialBindingAPI\"]\n    )\n    {{\n        \
-         float3[] extent = {extent}\n        int[] faceVertexCounts = {counts}\n        \
-         int[] faceVertexIndices = {indices}\n        point3f[] points = {points}\n        \
-         normal3f[] normals = {normals} (\n            interpolation = \"vertex\"\n        )\n        \
-         texCoord2f[] primvars:st = {places} (\n            interpolation = \"vertex\"\n        )\n        \
-         uniform token subdivisionScheme = \"none\"\n        \
-         rel material:binding = </Object/Material>\n    }}\n\n"
-    )
-}
-
-fn list(items: impl Iterator<Item = String>) -> String {
-    format!("[{}]", items.collect::<Vec<_>>().join(", "))
-}
-
-fn shaders(material: &UsdMaterial) -> String {
+    let mut of_material = Vec::new();
     let mut textures = texture("Diffuse", &material.diffuse, "sRGB", "float3 outputs:rgb");
     let specular = match &material.specular {
-        UsdInput::Value(s) => format!(" = ({}, {}, {})", s.x, s.y, s.z),
+        UsdInput::Value(s) => {
+            of_material.extend(s.to_array());
+            format!(" = ({}, {}, {})", s.x, s.y, s.z)
+        }
         UsdInput::Texture(image) => {
             textures += &texture("Specular", image, "sRGB", "float3 outputs:rgb");
             ".connect = </Object/Material/Specular.outputs:rgb>".to_owned()
         }
     };
     let roughness = match &material.roughness {
-        UsdInput::Value(roughness) => format!(" = {roughness}"),
+        UsdInput::Value(roughness) => {
+            of_material.push(*roughness);
+            format!(" = {roughness}")
+        }
         UsdInput::Texture(image) => {
             textures += &texture("Roughness", image, "raw", "float outputs:r");
             ".connect = </Object/Material/Roughness.outputs:r>".to_owned()
         }
     };
-    format!(
-        "    def Material \"Material\"\n    {{\n        \
-         token outputs:surface.connect = </Object/Material/Preview.outputs:surface>\n\n        \
-         def Shader \"Preview\"\n        {{\n            uniform token info:id = \"UsdPreviewSurface\"\n            \
-         color3f inputs:diffuseColor.connect = </Object/Material/Diffuse.outputs:rgb>\n            \
-         int inputs:useSpecularWorkflow = 1\n            color3f inputs:specularColor{specular}\n            \
-         float inputs:roughness{roughness}\n            token outputs:surface\n        }}\n\n        \
-         def Shader \"Coordinates\"\n        {{\n            uniform token info:id = \"UsdPrimvarReader_float2\"\n            \
-         string inputs:varname = \"st\"\n            float2 outputs:result\n        }}\n{textures}    }}\n"
-    )
+    check_mesh(path, mesh, of_material.into_iter())?;
+    let vectors = |values: &[Vec3]| list(values.iter().map(|v| format!("({}, {}, {})", v.x, v.y, v.z)));
+    let fields = [
+        ("{version}", env!("CARGO_PKG_VERSION").to_owned()),
+        ("{up}", format!("{up:?}")),
+        ("{specular}", specular),
+        ("{roughness}", roughness),
+        ("{textures}", textures),
+        ("{extent}", vectors(&[low, high])),
+        ("{counts}", list(mesh.triangles.iter().map(|_| "3".to_owned()))),
+        ("{indices}", list(mesh.triangles.iter().flatten().map(u32::to_string))),
+        // In USD, t points up.
+        ("{places}", list(uvs.iter().map(|uv| format!("({}, {})", uv.x, 1.0 - uv.y)))),
+        ("{normals}", vectors(&mesh.normals)),
+        ("{points}", vectors(&mesh.positions)),
+    ];
+    let template = include_str!("stage.usda").to_owned();
+    let text = fields.iter().fold(template, |text, (field, value)| text.replacen(field, value, 1));
+    Ok(text + &light.map(dome).unwrap_or_default())
+}
+
+fn list(items: impl Iterator<Item = String>) -> String {
+    format!("[{}]", items.collect::<Vec<_>>().join(", "))
 }
 
 fn texture(name: &str, image: &UsdImage, space: &str, output: &str) -> String {
@@ -219,18 +169,18 @@ fn texture(name: &str, image: &UsdImage, space: &str, output: &str) -> String {
     )
 }
 
-fn dome(light: UsdLight) -> String {
+fn dome((file, turn_degrees): (&str, f32)) -> String {
     format!(
-        "\ndef DomeLight \"Light\"\n{{\n    asset inputs:texture:file = @{}@\n    \
-         token inputs:texture:format = \"latlong\"\n    float xformOp:rotateY = {}\n    \
-         uniform token[] xformOpOrder = [\"xformOp:rotateY\"]\n}}\n",
-        light.file, light.turn_degrees
+        "\ndef DomeLight \"Light\"\n{{\n    asset inputs:texture:file = @{file}@\n    \
+         token inputs:texture:format = \"latlong\"\n    float xformOp:rotateY = {turn_degrees}\n    \
+         uniform token[] xformOpOrder = [\"xformOp:rotateY\"]\n}}\n"
     )
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::test_data::temporary;
     use lobelia_geometry::mesh::primitive::box_mesh;
     use std::io::Read as _;
 
@@ -252,7 +202,7 @@ mod tests {
     }
 
     /// The stage of the block with this material, written into `folder`.
-    fn written(folder: &Path, material: &UsdMaterial, up: UpAxis, light: Option<UsdLight>) -> String {
+    fn written(folder: &Path, material: &UsdMaterial, up: UpAxis, light: Option<(&str, f32)>) -> String {
         let path = folder.join("mesh.usda");
         write_usda(&path, &block(), material, up, light).unwrap();
         std::fs::read_to_string(path).unwrap()
@@ -266,8 +216,7 @@ mod tests {
             roughness: UsdInput::Value(0.25),
             ..textured()
         };
-        let light = UsdLight { file: "light.hdr", turn_degrees: 90.0 };
-        let text = written(folder.path(), &plain, UpAxis::Z, Some(light));
+        let text = written(folder.path(), &plain, UpAxis::Z, Some(("light.hdr", 90.0)));
         for line in [
             "#usda 1.0",
             "upAxis = \"Z\"",
@@ -290,8 +239,7 @@ mod tests {
 
     #[test]
     fn the_parts_of_a_package_are_stored_and_aligned() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mesh.usdz");
+        let (_folder, path) = temporary("mesh.usdz");
         let mesh = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
         write_usdz(&path, &mesh, &textured(), UpAxis::Y).unwrap();
         let bytes = std::fs::read(&path).unwrap();

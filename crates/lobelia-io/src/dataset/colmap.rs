@@ -1,19 +1,7 @@
-//! COLMAP's layout: a reconstruction in `DIR/sparse/0`, photographs in `DIR/images`, masks in `DIR/masks`.
-//!
-//! The reconstruction is `cameras` and `images`, `.bin` or `.txt`; points, rigs and frames are not needed. A camera model is a list of
-//! parameters; an image is a quaternion (w first) and a translation, both camera_from_world, OpenCV axes.
-//!
-//! The reconstruction may also be where COLMAP's own programs, nerfstudio and 3D Gaussian splatting leave it, and the photographs in a
-//! folder of another usual name; of several models the one with the most images is read. Masks may have any usual name, and be beside the
-//! photographs or in `DIR`; without a folder of masks alpha is the mask. Photographs are taken as they are stored, since COLMAP ignores
-//! their EXIF orientation. `DIR/test_id.txt` and `DIR/train_id.txt`, as of Stanford-ORB's `llff_colmap_HDR`, list the views of each split.
-//! Without the former see [`crate::dataset::DatasetOptions::hold_out`].
-//!
-//! Names in the lists are those of the model, with or without extension. A list of test views gives the test split, and the training
-//! split is that of the other list, or all other views.
+//! COLMAP's layout, as the manual's chapter on layouts tells it: a reconstruction in `DIR/sparse/0`, photographs in `DIR/images`, masks in
+//! `DIR/masks`, and lists of the splits. An image of the model is a quaternion (w first) and a translation, both camera_from_world, OpenCV axes.
 
-use crate::codec::file::{is_there, open, read_bytes};
-use crate::codec::nearby::missing_file_help;
+use crate::codec::{file::is_there, file::read_bytes, image::has_extension, nearby::missing_file_help};
 use crate::dataset::files::{
     Folders, PHOTOGRAPH_FOLDERS, SplitList, check_image_name, entries, file_name, flat_name, image_files,
     image_key, listed, mask_folder, portable, quoted, read_text,
@@ -22,12 +10,8 @@ use crate::dataset::lens::{Distortion, Lens, MODELS, Trouble};
 use crate::dataset::pose::Rigid;
 use crate::dataset::views::{Plan, ViewPlan, split_name};
 use glam::{Affine3A, DMat3, DQuat, DVec3};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
-use std::collections::{BTreeMap, BTreeSet};
-use std::io::Read;
-use std::path::{Path, PathBuf};
-use std::str::FromStr;
+use lobelia_geometry::{Error, Result, view::Split};
+use std::{collections::BTreeMap, collections::BTreeSet, path::Path, path::PathBuf, str::FromStr};
 
 /// Where reconstructions are, and the folder of photographs that belongs to each: COLMAP's own, nerfstudio's, the outputs of COLMAP's
 /// `image_undistorter` and `automatic_reconstructor`, what 3D Gaussian splatting keeps of the distorted photographs, and instant-ngp's.
@@ -56,36 +40,30 @@ struct Place {
     /// The `images` files of its models; at least one.
     models: Vec<PathBuf>,
     photographs: PathBuf,
-    /// Whether the photographs are not where they usually are, but in a folder beside that of another usual name.
-    is_renamed: bool,
+    /// Whether the photographs are where they usually are, and not in a folder beside that of another usual name, or nowhere.
+    is_usual: bool,
 }
 
 impl Place {
-    fn new(models: Vec<PathBuf>, photographs: PathBuf) -> Option<Self> {
-        if models.is_empty() {
-            return None;
-        }
-        if photographs.is_dir() {
-            return Some(Self { models, photographs, is_renamed: false });
-        }
+    fn new(models: Vec<PathBuf>, usual: PathBuf) -> Option<Self> {
+        let is_usual = usual.is_dir();
         let rank = |path: &Path| {
             let name = file_name(path).to_lowercase();
             PHOTOGRAPH_FOLDERS.iter().position(|usual| *usual == name)
         };
         let has_images = |path: &Path| image_files(path).is_ok_and(|files| !files.is_empty());
-        let beside = photographs.parent().into_iter().flat_map(entries);
+        let beside = usual.parent().filter(|_| !is_usual && !models.is_empty()).into_iter().flat_map(entries);
         let other = beside.filter_map(|path| Some((rank(&path).filter(|_| has_images(&path))?, path))).min();
-        let is_renamed = other.is_some();
-        Some(Self { models, photographs: other.map_or(photographs, |(_, path)| path), is_renamed })
+        let photographs = other.map_or(usual, |(_, path)| path);
+        (!models.is_empty()).then_some(Self { models, photographs, is_usual })
     }
 
     /// The first place in a folder with both models and photographs, or else with models.
     fn find(dir: &Path) -> Option<Self> {
         let place = |(models, photographs): &(&str, &str)| {
             let models = dir.join(models);
-            let numbered = numbered_models(&models);
-            let models =
-                if numbered.is_empty() { image_file(&models).into_iter().collect() } else { numbered };
+            let several = numbered_models(&models);
+            let models = if several.is_empty() { image_file(&models).into_iter().collect() } else { several };
             Self::new(models, dir.join(photographs))
         };
         // A folder of numbered models alone is that in which COLMAP puts them.
@@ -106,10 +84,9 @@ fn numbered_models(folder: &Path) -> Vec<PathBuf> {
 
 /// The `images` file of a model folder, binary before text; `None` if there is no model in it.
 fn image_file(folder: &Path) -> Option<PathBuf> {
-    let has = |kind: &&str| {
-        ["cameras", "images"].iter().all(|name| is_there(&folder.join(format!("{name}.{kind}"))))
-    };
-    ["bin", "txt"].into_iter().find(has).map(|kind| folder.join(format!("images.{kind}")))
+    let has = |name: &str, kind: &str| is_there(&folder.join(format!("{name}.{kind}")));
+    let kind = ["bin", "txt"].into_iter().find(|kind| has("cameras", kind) && has("images", kind))?;
+    Some(folder.join(format!("images.{kind}")))
 }
 
 /// Whether the folder has this split of a COLMAP data set: the test split is a list.
@@ -121,51 +98,36 @@ pub(super) fn has_split(dir: &Path, split: Split) -> bool {
 /// photographs in the folder that belongs to it.
 pub(super) fn is_for_the_record(dir: &Path) -> bool {
     let is_kept = |file: &PathBuf| FOR_THE_RECORD.iter().any(|folder| file.starts_with(dir.join(folder)));
-    Place::find(dir).is_some_and(|place| {
-        place.models.iter().all(is_kept) || place.is_renamed || !place.photographs.is_dir()
-    })
+    Place::find(dir).is_some_and(|place| place.models.iter().all(is_kept) || !place.is_usual)
 }
 
-/// The model with the most images, the first of equals, and a note about the others.
-fn largest(models: &[PathBuf]) -> Result<(&PathBuf, Option<String>)> {
-    if let [only] = models {
-        return Ok((only, None));
-    }
-    let counts = models.iter().map(|file| image_count(file)).collect::<Result<Vec<_>>>()?;
-    let most = counts.iter().copied().max().unwrap_or(0);
-    let chosen = &models[counts.iter().position(|&count| count == most).unwrap_or(0)];
-    let list: Vec<String> = counts.iter().map(u64::to_string).collect();
+/// The file of the model with the most images, the first of equals, its images, and a note about the others.
+fn largest(models: &[PathBuf]) -> Result<(&Path, Vec<ModelImage>, Option<String>)> {
+    let mut read = models.iter().map(|file| images_of(file)).collect::<Result<Vec<_>>>()?;
+    let chosen = (0..read.len()).rev().max_by_key(|i| read[*i].len()).unwrap_or(0);
+    let list: Vec<String> = read.iter().map(|images| images.len().to_string()).collect();
     let note = format!(
         "the reconstruction has {} models of {} images; only the largest, {}, is read",
         models.len(),
         list.join(", "),
-        chosen.parent().unwrap_or(Path::new("")).display()
+        models[chosen].parent().unwrap_or(Path::new("")).display()
     );
-    Ok((chosen, Some(note)))
+    Ok((&models[chosen], read.swap_remove(chosen), (models.len() > 1).then_some(note)))
 }
 
-/// The model with the most photographs of those in the folders `0`, `1`, … of a folder.
-pub struct LargestModel {
-    /// Of the model.
-    pub folder: PathBuf,
-    /// The names of its photographs, as paths below the folder of photographs.
-    pub names: BTreeSet<String>,
-    /// A note about the others.
-    pub note: Option<String>,
-}
-
-/// Reads the largest model in `folder`, if there is one.
+/// The largest of the models in the folders `0`, `1`, … of `folder`, if there is one: its folder, the names of its photographs, as paths below
+/// their folder, and a note about the others.
 ///
 /// # Errors
-/// [`Error::Input`] if it cannot be read.
-pub fn largest_model(folder: &Path) -> Result<Option<LargestModel>> {
+/// [`Error::Input`] if one cannot be read.
+pub fn largest_model(folder: &Path) -> Result<Option<(PathBuf, BTreeSet<String>, Option<String>)>> {
     let models = numbered_models(folder);
     if models.is_empty() {
         return Ok(None);
     }
-    let (file, note) = largest(&models)?;
-    let names = images_of(file)?.into_iter().map(|image| image.name).collect();
-    Ok(Some(LargestModel { folder: file.parent().unwrap_or(folder).to_owned(), names, note }))
+    let (file, images, note) = largest(&models)?;
+    let names = images.into_iter().map(|image| image.name).collect();
+    Ok(Some((file.parent().unwrap_or(folder).to_owned(), names, note)))
 }
 
 /// Plans the views of a split, in the order of their names; without lists, all are of the training split.
@@ -174,8 +136,8 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
         let help = missing_file_help(&dir.join("sparse/0/cameras.bin"));
         return Err(Error::input(dir, "", "there is no COLMAP model", help));
     };
-    let (file, of_models) = largest(&models)?;
-    let (cameras, mut images) = (cameras_of(file)?, images_of(file)?);
+    let (file, mut images, of_models) = largest(&models)?;
+    let cameras = cameras_of(file)?;
     if images.is_empty() {
         let problem = "the model has no images, so that there are no views";
         let help = "Give a model in which photographs are registered; COLMAP may have written several.";
@@ -198,7 +160,7 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
         check_image_name(&name, file, &place)?;
         if !is_wanted {
             // Found, so that it is not taken for one without a camera.
-            photographs.find(&name)?;
+            photographs.find(&name);
             continue;
         }
         let (found, photograph) = photographs.photograph(&name)?;
@@ -208,7 +170,7 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
         };
         views.push(ViewPlan {
             name: flat_name(&found),
-            camera_file: file.clone(),
+            camera_file: file.to_owned(),
             place,
             image: Some(photograph),
             mask: masks.as_mut().map(|masks| masks.mask(&found)).transpose()?,
@@ -247,8 +209,7 @@ fn read_lists(dir: &Path) -> Result<Vec<SplitList>> {
             return Err(Error::input(&file, "", "the list has no names of views", help));
         }
         let others = lists.iter().flat_map(|list| &list.names);
-        let others: BTreeMap<String, &String> =
-            others.map(|(name, place)| (image_key(name), place)).collect();
+        let others: BTreeMap<_, _> = others.map(|(name, place)| (image_key(name), place)).collect();
         if let Some((name, place)) = names.iter().find(|(name, _)| others.contains_key(&image_key(name))) {
             let problem =
                 format!("{} is in train_id.txt as well, {}", quoted(name), others[&image_key(name)]);
@@ -268,29 +229,14 @@ struct ModelImage {
     camera_from_world: Rigid,
 }
 
-fn is_text(file: &Path) -> bool {
-    file.extension().is_some_and(|kind| kind == "txt")
-}
-
-/// The number of photographs that the file `image_file` announces.
-fn image_count(image_file: &Path) -> Result<u64> {
-    if is_text(image_file) {
-        return images_of_text(image_file).map(|images| images.len() as u64);
-    }
-    let mut count = [0; 8];
-    let mut file = open(image_file, missing_file_help)?;
-    file.read_exact(&mut count).map_err(|_| cut_short(image_file, 0))?;
-    Ok(u64::from_le_bytes(count))
-}
-
 /// The photographs of the model of which this is the `images` file.
 fn images_of(image_file: &Path) -> Result<Vec<ModelImage>> {
-    if is_text(image_file) { images_of_text(image_file) } else { images_of_bytes(image_file) }
+    if has_extension(image_file, &["txt"]) { images_of_text(image_file) } else { images_of_bytes(image_file) }
 }
 
 /// The cameras of the model of which this is the `images` file, by their numbers.
 fn cameras_of(image_file: &Path) -> Result<BTreeMap<u32, Lens>> {
-    let is_text = is_text(image_file);
+    let is_text = has_extension(image_file, &["txt"]);
     let file = image_file.with_file_name(if is_text { "cameras.txt" } else { "cameras.bin" });
     if is_text { cameras_of_text(&file) } else { cameras_of_bytes(&file) }
 }
@@ -309,8 +255,7 @@ fn lens_of(model: &str, size: [u64; 2], parameters: &[f64]) -> Result<Lens, Trou
     };
     let (focal, rest) = parameters.split_at(focals);
     let (center, coefficients) = rest.split_at(2);
-    let coefficient =
-        |name: &str| names.iter().position(|known| *known == name).map_or(0.0, |n| coefficients[n]);
+    let coefficient = |name: &str| names.iter().position(|own| *own == name).map_or(0.0, |n| coefficients[n]);
     let lens = Lens {
         size: Some([width, height]),
         distortion: Distortion::of_model(model, coefficient),
@@ -401,10 +346,8 @@ impl<'a> Bytes<'a> {
     }
 
     fn skip(&mut self, count: u64) -> Result<&[u8]> {
-        let start = self.at;
-        let end = usize::try_from(count).ok().and_then(|count| start.checked_add(count));
-        let skipped = end.and_then(|end| self.bytes.get(start..end));
-        let skipped = skipped.ok_or_else(|| cut_short(self.file, start))?;
+        let skipped = usize::try_from(count).ok().and_then(|count| self.bytes[self.at..].get(..count));
+        let skipped = skipped.ok_or_else(|| cut_short(self.file, self.at))?;
         self.at += skipped.len();
         Ok(skipped)
     }

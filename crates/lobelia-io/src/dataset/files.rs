@@ -1,14 +1,12 @@
 //! Files that camera files name: text and JSON, names of images and views, images and masks in folders, and lists of the views of a split.
 
 use crate::codec::file::{check_file_name, is_there, read_folder};
-use crate::codec::image::{IMAGE_EXTENSIONS, image_header, is_unread_name};
+use crate::codec::image::{IMAGE_EXTENSIONS, has_extension, image_header, is_unread_name};
 use crate::codec::nearby::{closest, missing_file_help};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
+use lobelia_geometry::{Error, Result, view::Split};
 use serde::de::DeserializeOwned;
-use std::borrow::Cow;
-use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
+use std::{borrow::Cow, collections::BTreeMap, collections::BTreeSet};
 use unicode_normalization::{UnicodeNormalization, is_nfc};
 
 /// Most bytes of a camera file. COLMAP's text model of a thousand views has some hundred MiB.
@@ -19,20 +17,8 @@ const LONGEST: usize = 60;
 pub(super) const PHOTOGRAPH_FOLDERS: [&str; 8] =
     ["images", "image", "input", "rgb", "photos", "photographs", "pictures", "imgs"];
 /// Names of mask folders in lower case, in the order in which they are looked for.
-const MASK_FOLDERS: [&str; 12] = [
-    "masks",
-    "mask",
-    "silhouettes",
-    "silhouette",
-    "segmentation",
-    "segmentations",
-    "seg",
-    "alpha",
-    "images_mask",
-    "images_masks",
-    "image_mask",
-    "image_masks",
-];
+const MASK_FOLDERS: &str = "masks mask silhouettes silhouette segmentation segmentations seg alpha images_mask images_masks image_mask \
+                            image_masks";
 /// Words within the names of other folders of masks.
 const MASK_WORDS: [&str; 5] = ["mask", "matte", "matting", "silhouette", "segment"];
 /// Words of folders of one split, whose masks may have the names of photographs of another.
@@ -63,17 +49,11 @@ fn last(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
 
-/// Whether a path ends as images that are read do, in any case.
-fn has_image_extension(path: &Path) -> bool {
-    let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
-    extension.is_some_and(|extension| IMAGE_EXTENSIONS.contains(&extension.as_str()))
-}
-
 /// A view's name from its image's path: the file name without an image extension (`./train/r_0.5` is called `r_0.5`), be it of a format
 /// that is read or of another.
 pub(super) fn view_name(path: &str) -> String {
     let path = Path::new(path);
-    let is_image = has_image_extension(path) || is_unread_name(path);
+    let is_image = has_extension(path, &IMAGE_EXTENSIONS) || is_unread_name(path);
     let name = if is_image { path.file_stem() } else { path.file_name() };
     name.unwrap_or_default().to_string_lossy().into_owned()
 }
@@ -167,7 +147,7 @@ pub(super) fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> + use<> {
 pub(super) fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
     let entries = read_folder(folder)?.map(|entry| Ok(entry.map_err(Error::io("read", folder))?.path()));
     let mut paths = entries.collect::<Result<Vec<_>>>()?;
-    paths.retain(|path| has_image_extension(path) && !file_name(path).starts_with('.'));
+    paths.retain(|path| has_extension(path, &IMAGE_EXTENSIONS) && !file_name(path).starts_with('.'));
     paths.sort();
     Ok(paths)
 }
@@ -191,7 +171,7 @@ fn spelled_as_on_disk(path: &Path) -> Option<PathBuf> {
 
 /// Whether there is an image at a path, or something that is called as one: reading it says why it is none.
 fn is_image_at(path: &Path) -> bool {
-    path.is_file() || (has_image_extension(path) && is_there(path))
+    path.is_file() || (has_extension(path, &IMAGE_EXTENSIONS) && is_there(path))
 }
 
 /// A folder's image files by name without extension.
@@ -258,22 +238,16 @@ impl Folders {
 
     /// The photograph with this path below the root, perhaps with another extension, or else with what is left of the path without some
     /// of its folders; and the path that it was found by.
-    pub fn find(&mut self, path: &str) -> Result<Option<(String, PathBuf)>> {
-        for tail in tails(path).filter(|tail| *tail == path || !leads_away(tail)) {
-            let Some(folder) = self.folder(tail)? else { continue };
-            let exact = folder.folder.join(last(tail));
-            let found = if is_image_at(&exact) { Some(exact) } else { folder.stem(&view_name(tail)) };
-            if let Some(found) = found {
-                self.used.insert(found.clone());
-                return Ok(Some((tail.to_owned(), found)));
-            }
-        }
-        Ok(None)
+    pub fn find(&mut self, path: &str) -> Option<(String, PathBuf)> {
+        let mut inside = tails(path).filter(|tail| *tail == path || !leads_away(tail));
+        let found = inside.find_map(|tail| Some((tail.to_owned(), self.image(tail)?)))?;
+        self.used.insert(found.1.clone());
+        Some(found)
     }
 
     /// [`Self::find`] with an error for a photograph that is missing.
     pub fn photograph(&mut self, path: &str) -> Result<(String, PathBuf)> {
-        self.find(path)?.ok_or_else(|| {
+        self.find(path).ok_or_else(|| {
             let expected = self.root.join(path);
             let folder = expected.parent().unwrap_or(&self.root);
             let problem = "the camera file names this view, but its image is missing (with any extension)";
@@ -285,7 +259,8 @@ impl Folders {
     /// The image with this path below the root, if there is one: itself, else with an extension added, in the order in which they are
     /// tried and small letters first, else the only one of that name with another extension, as of photographs that were converted.
     pub fn image(&mut self, path: &str) -> Option<PathBuf> {
-        let exact = self.root.join(path);
+        let folder = self.folder(path).ok()??;
+        let exact = folder.folder.join(last(path));
         if is_image_at(&exact) {
             return Some(exact);
         }
@@ -294,7 +269,6 @@ impl Folders {
             let lower = extension.to_lowercase();
             (extension != lower, IMAGE_EXTENSIONS.iter().position(|known| *known == lower))
         };
-        let folder = self.folder(path).ok()??;
         let converted = folder.alike(&view_name(path));
         let is_called = |file: &&PathBuf| composed(&file_name(file)) == composed(last(path));
         let only = || converted.first().filter(|_| converted.len() == 1);
@@ -332,11 +306,11 @@ pub(super) fn mask_folder(dir: &Path) -> Option<PathBuf> {
         let alike = || entries(dir).filter(|path| file_name(path).to_lowercase() == name).min();
         if is_there(&exact) { Some(exact) } else { alike() }
     };
-    let first = |dir: &Path, names: &[&str]| names.iter().find_map(|name| called(dir, name));
+    let first = |dir: &Path, names: &str| names.split(' ').find_map(|name| called(dir, name));
     let above = PHOTOGRAPH_FOLDERS.iter().filter_map(|name| called(dir, name));
     let mut above = above.filter(|folder| folder.is_dir());
-    let usual = first(dir, &MASK_FOLDERS);
-    usual.or_else(|| above.find_map(|folder| first(&folder, &MASK_FOLDERS[..2]))).or_else(|| {
+    let usual = first(dir, MASK_FOLDERS);
+    usual.or_else(|| above.find_map(|folder| first(&folder, "masks mask"))).or_else(|| {
         let has = |path: &Path, words: &[&str]| {
             let name = file_name(path).to_lowercase();
             words.iter().any(|word| name.contains(word))

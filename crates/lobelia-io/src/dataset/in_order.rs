@@ -1,20 +1,13 @@
-//! Layouts whose n-th camera belongs to the n-th photograph by name: IDR's, NeuS's and VolSDF's, LLFF's and NeRD's. Masks have the names of
-//! the photographs, or their order. There is no test split: see [`crate::dataset::DatasetOptions::hold_out`].
+//! Layouts whose n-th camera belongs to the n-th photograph by name, as the manual's chapter on layouts tells them: IDR's, NeuS's and VolSDF's,
+//! LLFF's and NeRD's. Masks have the names of the photographs, or their order.
 //!
-//! **IDR**: `cameras_sphere.npz` (or `cameras.npz`), `image/`, `mask/`. The n-th photograph has the 3×4 or 4×4 projection matrix
-//! `world_mat_n`, from the world of the capture to pixels, up to scale. It is taken apart into calibration and pose. `scale_mat_n`, which
-//! maps the ball around the object that these programs work in to that world, is not needed: views, and what is exported, are in the
-//! world of the capture. Pixel centers are at integers.
+//! **IDR**: the 3×4 or 4×4 matrix `world_mat_n` projects the world of the capture to pixels, up to scale; pixel centers are at integers.
 //!
-//! **LLFF**: `poses_bounds.npy`, `images/`, `masks/`. A row of the array has 17 numbers: a 3×5 matrix, row by row, and the depths of the
-//! nearest and farthest points, which are not needed. The first four columns are world_from_camera with the axes down, right and
-//! backward, and the position; the last is height, width and focal length in pixels. Photographs may be scaled versions of that size, in
-//! `images_4` and the like if there is no `images`.
+//! **LLFF**: a row of 17 numbers is a 3×5 matrix, row by row, and two depths. The first four columns are world_from_camera with the axes down,
+//! right and backward, and the position; the last is height, width and focal length in pixels, of which photographs may be scaled versions.
 
-use crate::codec::file::{is_there, read_up_to};
-use crate::codec::nearby::missing_file_help;
-use crate::codec::npy::Npz;
-use crate::codec::npy::{Matrix, parse_matrix};
+use crate::codec::npy::{Matrix, Npz, parse_matrix};
+use crate::codec::{file::is_there, file::read_up_to, nearby::missing_file_help};
 use crate::dataset::files::{
     StemIndex, file_name, find_mask, image_files, mask_file, mask_folder, refusal_of_unread, view_name,
 };
@@ -22,7 +15,7 @@ use crate::dataset::lens::{Lens, whole_size};
 use crate::dataset::pose::{Rigid, check_finite};
 use crate::dataset::views::{Plan, ViewPlan};
 use glam::{DMat3, DVec3};
-use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::{Error, Result};
 use std::path::{Path, PathBuf};
 
 /// IDR's files of cameras, in the order in which they are looked for.
@@ -157,7 +150,7 @@ fn camera_of_row(row: &[f64]) -> Result<(Lens, Rigid), String> {
 
 /// Lens and world_from_camera of a projection matrix K [R | t], which is given up to a factor. `Err` is a clause that follows
 /// "the matrix".
-pub(super) fn taken_apart(matrix: &Matrix) -> Result<(Lens, Rigid), String> {
+fn taken_apart(matrix: &Matrix) -> Result<(Lens, Rigid), String> {
     if !matches!((matrix.rows, matrix.columns), (3 | 4, 4)) {
         return Err(format!("is {}×{}, not 4×4", matrix.rows, matrix.columns));
     }

@@ -1,6 +1,6 @@
 //! Data sets: folders of posed photographs, read into [`ViewRecord`]s.
 //!
-//! The files in the folder determine the [`Layout`]; each is described where it is read. Where a folder has two, Stanford-ORB goes before
+//! The files in the folder determine the [`Layout`]; the manual describes each. Where a folder has two, Stanford-ORB goes before
 //! NeRF, and COLMAP before LLFF; a COLMAP model that is kept for the record yields to the cameras that were made of it.
 
 pub mod colmap;
@@ -19,24 +19,20 @@ mod views;
 
 pub use layout::{find_layout, has_split};
 pub use priors::Priors;
-pub use views::{LoadedView, PlannedView, load_notes};
+pub use views::{LoadedView, PlannedView, ViewPlan, load_notes};
 
 use crate::codec::image::Gamma;
 use files::{check_name, near, quoted};
 use glam::Vec3;
-use layout::{find_reader, in_scene_file};
-use lens::crop_note;
-use lobelia_geometry::error::{Error, Result};
+use layout::{find_with_note, in_scene_file};
 use lobelia_geometry::view::{Placement, Split, ViewRecord};
+use lobelia_geometry::{Error, Result};
 use pose::PRECISE;
 use priors::find_priors;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
-use std::ffi::OsStr;
-use std::path::Path;
-use std::sync::Arc;
-use views::{Curves, ViewPlan, split_name};
+use std::{collections::BTreeMap, ffi::OsStr, path::Path, sync::Arc};
+use views::{Curves, split_name};
 
 /// How a data set's folder is laid out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -110,50 +106,36 @@ impl DatasetOptions {
     /// [`Error::Usage`] if a value is out of its range.
     pub fn check(&self) -> Result<()> {
         self.gamma.check()?;
-        let wrong = |problem: String, help: &str| Err(Error::usage(problem, help));
-        if self.downscale == 0 || self.every == 0 {
-            return wrong("`downscale` and `every` are at least 1".into(), "Leave them out, or write 1.");
-        }
-        if self.hold_out == 1 {
-            return wrong(
-                "hold_out: 1 leaves no view to fit to".into(),
-                "Write 0 for no test split, or 2 and more.",
-            );
-        }
-        if let Some(center) = self.pixel_center.filter(|center| !center.is_finite()) {
-            return wrong(format!("pixel_center: {center}"), "Give 0.5, or 0.0 for PhySG's own code.");
-        }
-        if self.up.try_normalize().is_none() {
-            return wrong(
-                format!("up: {}", self.up),
-                "Give a direction of non-zero length, e.g. (0.0, 1.0, 0.0).",
-            );
-        }
-        Ok(())
+        let (problem, help) = if self.downscale == 0 || self.every == 0 {
+            ("`downscale` and `every` are at least 1".to_owned(), "Leave them out, or write 1.")
+        } else if self.hold_out == 1 {
+            ("hold_out: 1 leaves no view to fit to".to_owned(), "Write 0 for no test split, or 2 and more.")
+        } else if let Some(center) = self.pixel_center.filter(|center| !center.is_finite()) {
+            (format!("pixel_center: {center}"), "Give 0.5, or 0.0 for PhySG's own code.")
+        } else if self.up.try_normalize().is_none() {
+            (format!("up: {}", self.up), "Give a direction of non-zero length, e.g. (0.0, 1.0, 0.0).")
+        } else {
+            return Ok(());
+        };
+        Err(Error::usage(problem, help))
     }
 }
 
-/// One split of a data set, as read.
+/// One split of a data set.
 #[derive(Clone, Debug)]
-pub struct LoadedDataset {
+pub struct Views<View> {
     /// The views, in natural name order (`r_2` before `r_10`).
-    pub views: Vec<ViewRecord>,
+    pub views: Vec<View>,
     /// The layout that was found; never `Auto`.
     pub layout: Layout,
     /// Notes for the user: repairs and omissions, with counts.
     pub notes: Vec<String>,
 }
 
-/// A split of a data set whose views are known and not read.
-#[derive(Clone, Debug)]
-pub struct OpenDataset {
-    /// The views, in natural name order (`r_2` before `r_10`).
-    pub views: Vec<PlannedView>,
-    /// The layout that was found; never `Auto`.
-    pub layout: Layout,
-    /// Notes for the user about all views.
-    pub notes: Vec<String>,
-}
+/// A split whose views are read.
+pub type LoadedDataset = Views<ViewRecord>;
+/// A split whose views are known and not read.
+pub type OpenDataset = Views<PlannedView>;
 
 /// Opens a split of the data set in folder `dir`: reads camera files and looks for photographs and masks, but reads none of these.
 ///
@@ -163,20 +145,19 @@ pub struct OpenDataset {
 pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<OpenDataset> {
     let dir = dir.as_ref();
     options.check()?;
-    let (reader, note) = find_reader(dir, options.layout, in_scene_file)?;
-    let views::Plan { views, mut notes } = reader.plan(dir, split, options.hold_out)?;
+    let (layout, note) = find_with_note(dir, options.layout, in_scene_file)?;
+    let views::Plan { views, mut notes } = layout.plan(dir, split, options.hold_out)?;
     notes.splice(0..0, note.filter(|_| split == Split::Train).map(str::to_owned));
     check_names(&views)?;
     let wanted = selected(views, options)?;
     if wanted.is_empty() {
         let problem = format!("the {} split has no views", split_name(split));
-        let help =
-            if options.hold_out == 0 { "Give `hold_out: 8`, if the data has no test split." } else { "" };
+        let has_held = options.hold_out > 0;
+        let help = if has_held { "" } else { "Give `hold_out: 8`, if the data has no test split." };
         return Err(Error::input(dir, "", problem, help));
     }
     refuse_far_away(&wanted)?;
     notes.extend(rounding_note(&wanted));
-    notes.extend(crop_note(wanted.iter().map(|view| &view.lens)));
     let curves = Arc::new(Curves::new(options.gamma));
     let names: Vec<&str> = wanted.iter().map(|view| view.name.as_str()).collect();
     let priors = find_priors(&options.priors, split, &names, &mut notes)?;
@@ -186,13 +167,13 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
             plan,
             split,
             curves: curves.clone(),
-            pixel_center: options.pixel_center.unwrap_or(reader.pixel_center()),
+            pixel_center: options.pixel_center.unwrap_or(layout.pixel_center()),
             downscale: options.downscale,
             priors,
         })
     };
     let views = wanted.into_iter().zip(priors).map(planned).collect::<Result<_>>()?;
-    Ok(OpenDataset { views, layout: reader.layout, notes })
+    Ok(OpenDataset { views, layout, notes })
 }
 
 /// Reads a split of the data set in folder `dir`: cameras, photographs and masks, in natural name order.
@@ -226,22 +207,20 @@ fn check_names(views: &[ViewPlan]) -> Result<()> {
 
 /// The views that the options ask for, in their order.
 fn selected(views: Vec<ViewPlan>, options: &DatasetOptions) -> Result<Vec<ViewPlan>> {
-    if let Some(names) = &options.select {
-        let all = || views.iter().map(|view| view.name.as_str());
-        if names.is_empty() {
-            let help = "Name views, or leave it out.";
-            return Err(Error::usage("`select` is an empty list: no views are left", help));
-        }
-        if let Some(unknown) = names.iter().find(|name| !all().any(|view| view == **name)) {
-            let problem = format!("`select` names a view `{unknown}` that is not in the data set");
-            let (first, last) = (all().next().unwrap_or_default(), all().next_back().unwrap_or_default());
-            let near = near(unknown, all());
-            let help = format!("There are {} views, from {first} to {last}.{near}", views.len());
-            return Err(Error::usage(problem, help));
-        }
+    let names = options.select.as_ref();
+    let all = || views.iter().map(|view| view.name.as_str());
+    if names.is_some_and(Vec::is_empty) {
+        let help = "Name views, or leave it out.";
+        return Err(Error::usage("`select` is an empty list: no views are left", help));
     }
-    let is_selected =
-        |view: &ViewPlan| options.select.as_ref().is_none_or(|names| names.contains(&view.name));
+    if let Some(unknown) = names.into_iter().flatten().find(|name| !all().any(|view| view == **name)) {
+        let problem = format!("`select` names a view `{unknown}` that is not in the data set");
+        let (first, last) = (all().next().unwrap_or_default(), all().next_back().unwrap_or_default());
+        let near = near(unknown, all());
+        let help = format!("There are {} views, from {first} to {last}.{near}", views.len());
+        return Err(Error::usage(problem, help));
+    }
+    let is_selected = |view: &ViewPlan| names.is_none_or(|names| names.contains(&view.name));
     Ok(views.into_iter().filter(is_selected).step_by(options.every as usize).collect())
 }
 

@@ -1,18 +1,8 @@
-//! The layout of NeRF, Blender, nerfstudio, Polycam and instant-ngp: camera files `DIR/transforms_{train,test}.json`, or one
-//! `DIR/transforms.json` for all views, and the images they name.
+//! The layout of NeRF, Blender, nerfstudio, Polycam and instant-ngp, and of Stanford-ORB's `blender_HDR`, as the manual's chapter on layouts
+//! tells it: camera files `DIR/transforms_{train,test}.json`, or one `DIR/transforms.json` for all views, and the images they name.
 //!
-//! Each frame has a `transform_matrix` (4×4 or 3×4, world_from_camera with OpenGL axes: x right, y up, z backward) and a
-//! `file_path` relative to `DIR`, with or without extension. Intrinsics are in the table below.
-//!
-//! A frame may have a `mask_path`; where none has, a folder of masks in `DIR` is read, with the folders of the images in it or without.
-//! Else alpha is the mask. Images that are not where `file_path` says are looked for in `DIR/images` and `DIR`. If there are no images, the
-//! views are cameras only and `w`, `h` are needed.
-//!
-//! Without `transforms_test.json`, `transforms_val.json` is the test split. One file for all views may have the lists `train_filenames`,
-//! `val_filenames` and `test_filenames`. Where neither gives a test split see [`crate::dataset::DatasetOptions::hold_out`]. Poses are taken
-//! as they are: `applied_transform` is not undone. Photographs are taken as they are stored, as all these programs read them.
-//!
-//! Intrinsics are at the top of the file or in a frame; those of the frame have priority.
+//! Each frame has a `transform_matrix` (4×4 or 3×4, world_from_camera with OpenGL axes: x right, y up, z backward), which is taken as it is:
+//! `applied_transform` is not undone. Intrinsics are at the top of the file or in a frame; those of the frame have priority.
 //!
 //! | fields | unit | meaning |
 //! | --- | --- | --- |
@@ -26,13 +16,9 @@
 //! | `k1` to `k4` | | radial polynomial; `k4`, `k5`, `k6` of `FULL_OPENCV` are its divisor |
 //! | `p1`, `p2` | | tangential distortion |
 //! | `distortion_params` | | nerfstudio's list of `k1` to `k4`, `p1` and `p2`, which goes before these |
-//!
-//! Stanford-ORB's `blender_HDR` and `blender_LDR` are of this layout with masks in `train_mask` and `test_mask`; `transforms_novel.json`,
-//! cameras of the same object in other places, is not read. Its `llff_colmap_HDR` and `llff_colmap_LDR` are of that of COLMAP.
 
-use crate::codec::file::is_there;
 use crate::codec::image::{IMAGE_EXTENSIONS, is_unread_name};
-use crate::codec::nearby::missing_file_help;
+use crate::codec::{file::is_there, nearby::missing_file_help};
 use crate::dataset::files::{
     Folders, SplitList, check_image_name, check_path, entries, file_name, flat_name, image_files, leads_away,
     listed, portable, quoted, read_json, refusal_of_unread, tails, view_name,
@@ -40,11 +26,8 @@ use crate::dataset::files::{
 use crate::dataset::lens::{Distortion, Focal, Lens, Trouble, whole_size};
 use crate::dataset::pose::Rigid;
 use crate::dataset::views::{Plan, ViewPlan, split_name};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
-use serde::Deserialize;
-use serde::de::IgnoredAny;
-use std::collections::BTreeMap;
+use lobelia_geometry::{Error, Result, view::Split};
+use serde::{Deserialize, de::IgnoredAny};
 use std::path::{Path, PathBuf};
 
 /// The file that describes the cameras of one split.
@@ -132,19 +115,19 @@ impl Level {
 
     /// nerfstudio's lists of the views of each split.
     fn lists(&self, file: &Path) -> Vec<SplitList> {
-        let train =
-            self.train_filenames.as_ref().map(|names| (Some(Split::Train), ("train_filenames", names)));
-        let held_out = self.held_out();
+        let (name, held_out) = self.held_out().unzip();
         // Of neither split where there is a list of test views as well.
-        let validation = self.val_filenames.as_ref().map(|names| (None, ("val_filenames", names)));
-        let validation = validation.filter(|_| held_out.is_some_and(|(name, _)| name == "test_filenames"));
-        let lists = [train, held_out.map(|list| (Some(Split::Test), list)), validation];
-        let list = |(split, (name, names)): (Option<Split>, (&str, &Vec<String>))| SplitList {
-            file: file.to_owned(),
-            split,
-            names: names.iter().map(|path| (path.clone(), name.to_owned())).collect(),
+        let validation = self.val_filenames.as_ref().filter(|_| name == Some("test_filenames"));
+        let lists = [
+            (Some(Split::Train), "train_filenames", self.train_filenames.as_ref()),
+            (Some(Split::Test), name.unwrap_or_default(), held_out),
+            (None, "val_filenames", validation),
+        ];
+        let list = |(split, name, names): (Option<Split>, &str, Option<&Vec<String>>)| {
+            let names = names?.iter().map(|path| (path.clone(), name.to_owned())).collect();
+            Some(SplitList { file: file.to_owned(), split, names })
         };
-        lists.into_iter().flatten().map(list).collect()
+        lists.into_iter().filter_map(list).collect()
     }
 
     /// The coefficient of lens distortion called so.
@@ -222,8 +205,7 @@ pub(super) fn plan(dir: &Path, split: Split, masks: Option<PathBuf>) -> Result<P
     let is_one = |i: usize, k: usize, value: f64| value == if i == k { 1.0 } else { 0.0 };
     let is_identity = rows.all(|(i, row)| row.iter().enumerate().all(|(k, &value)| is_one(i, k, value)));
     let transform = "the poses are taken as the file has them: applied_transform is not undone, and results are in that world";
-    let mut notes: Vec<String> =
-        (!is_identity).then(|| transform.to_owned()).into_iter().chain(note).collect();
+    let mut notes: Vec<_> = (!is_identity).then(|| transform.to_owned()).into_iter().chain(note).collect();
     let lists = top.lists(&file);
     if is_common && !lists.is_empty() {
         let paths: Vec<&str> = frames.iter().map(|frame| frame.file_path.as_deref().unwrap_or("")).collect();
@@ -251,23 +233,20 @@ fn matrix(rows: &[Vec<f64>]) -> Result<[[f64; 4]; 4], String> {
 }
 
 fn place_of(index: usize, frame: &Level) -> String {
-    match &frame.file_path {
-        Some(path) => format!("frame {index} ({})", quoted(path)),
-        None => format!("frame {index}"),
-    }
+    let path = frame.file_path.as_ref().map(|path| format!(" ({})", quoted(path)));
+    format!("frame {index}{}", path.unwrap_or_default())
 }
 
 /// Refuses paths that no file or view can have, before files are looked for.
 fn check_paths(file: &Path, index: usize, frame: &Level) -> Result<()> {
     let place = place_of(index, frame);
     frame.mask_path.as_ref().map_or(Ok(()), |mask| check_path(mask, file, &place))?;
-    match &frame.file_path {
-        Some(path) if path.trim().is_empty() => {
-            let help = "Write the path of the frame's image, from the folder of this file on.";
-            Err(Error::input(file, format!("frame {index}"), "file_path is empty", help))
-        }
-        path => path.as_ref().map_or(Ok(()), |path| check_image_name(path, file, &place)),
+    let Some(path) = &frame.file_path else { return Ok(()) };
+    if path.trim().is_empty() {
+        let help = "Write the path of the frame's image, from the folder of this file on.";
+        return Err(Error::input(file, format!("frame {index}"), "file_path is empty", help));
     }
+    check_image_name(path, file, &place)
 }
 
 /// The folder that all images are in, below that of the camera file, if they are in several folders.
@@ -304,7 +283,6 @@ impl Search<'_> {
         let moved: Vec<_> = paths.iter().map(|path| self.elsewhere("images", (*path)?)).collect();
         if let Some(folder) = moved.iter().flatten().next().and_then(|image| image.parent()) {
             self.check_complete(&moved, |path| folder.join(file_name(Path::new(path))))?;
-            self.check_apart(&moved)?;
             let (first, folder) = (quoted(first), folder.display());
             let note = format!(
                 "the images are not where {file} says, e.g. {first}; files of the same names in {folder} are read"
@@ -348,23 +326,6 @@ impl Search<'_> {
                 format!("the image {} ({}) is missing", image.display(), IMAGE_EXTENSIONS.join(", "));
             Error::input(self.file, place, problem, missing_file_help(&image))
         }))
-    }
-
-    /// Refuses two frames with one image, of which neither is where the file says.
-    fn check_apart(&self, files: &[Option<PathBuf>]) -> Result<()> {
-        let place = |index: usize| place_of(index, &self.frames[index]);
-        let mut seen = BTreeMap::new();
-        for (index, image) in files.iter().enumerate() {
-            if let Some(other) = image.as_ref().and_then(|image| seen.insert(image, index)) {
-                let problem = format!(
-                    "its image is not where the file says, and of that name there is only the one of {}",
-                    place(other)
-                );
-                let help = "Put the images into the folders that file_path names, below that of the file.";
-                return Err(Error::input(self.file, place(index), problem, help));
-            }
-        }
-        Ok(())
     }
 
     /// Refuses a folder with images of which none is named, where images are named: first of all this one.
@@ -433,16 +394,13 @@ impl Levels<'_> {
     }
 
     fn distortion(&self) -> Result<Distortion, Trouble> {
-        let other = [
-            ("ftheta_p0", self.either(|i| i.ftheta_p0).is_some()),
-            ("latlong", self.either(|i| i.latlong).is_some()),
-            ("equirectangular", self.either(|i| i.equirectangular).is_some()),
-        ];
-        if let Some((field, _)) = other.iter().find(|(_, stated)| *stated) {
+        let others =
+            |of: &Level| [of.ftheta_p0, of.latlong, of.equirectangular].iter().position(Option::is_some);
+        if let Some(n) = [self.own, self.shared].into_iter().find_map(others) {
+            let field = ["ftheta_p0", "latlong", "equirectangular"][n];
             return Err((format!("`{field}` is of a lens that cannot be read"), MODEL_HELP));
         }
-        let mut lists =
-            [self.own, self.shared].into_iter().filter_map(|level| level.distortion_params.as_ref());
+        let mut lists = [self.own, self.shared].into_iter().filter_map(|of| of.distortion_params.as_ref());
         if let Some(list) = lists.find(|list| list.len() != 6) {
             let problem = format!("distortion_params has {} numbers, not 6", list.len());
             return Err((problem, "Write k1, k2, k3, k4, p1, p2, as nerfstudio does."));
@@ -451,17 +409,12 @@ impl Levels<'_> {
         let is_fisheye = self.either(|i| i.is_fisheye).unwrap_or(false);
         // Only the model with a divisor has these.
         let is_full = ["k5", "k6"].into_iter().any(|name| coefficient(name) != 0.0);
+        let usual = if is_full { "FULL_OPENCV" } else { "OPENCV" };
         let stated = self.either(|i| i.camera_model.as_deref().map(str::to_ascii_uppercase));
         let model = match stated.as_deref() {
             None | Some("OPENCV") if is_fisheye => "OPENCV_FISHEYE",
             Some(model @ ("OPENCV_FISHEYE" | "FULL_OPENCV")) => model,
-            None | Some("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV") => {
-                if is_full {
-                    "FULL_OPENCV"
-                } else {
-                    "OPENCV"
-                }
-            }
+            None | Some("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV") => usual,
             Some(other) => return Err((format!("the camera_model {other} cannot be read"), MODEL_HELP)),
         };
         Ok(Distortion::of_model(model, coefficient))

@@ -1,24 +1,11 @@
-//! The layout of NeRFactor and of TensoIR-Synthetic: a folder for each view, `DIR/{train,test}_000/`, with its camera in `metadata.json`
-//! and its pictures under one or several lights beside it.
-//!
-//! | in `metadata.json` | unit | meaning |
-//! | --- | --- | --- |
-//! | `cam_transform_mat` | | 16 numbers in a text, with commas: the rows of world_from_camera, with OpenGL axes (x right, y up, z backward) |
-//! | `cam_angle_x` | radians | full horizontal field of view |
-//! | `imw`, `imh` | pixels | image size |
-//!
-//! The photograph is `rgba.png` (NeRFactor's), or else `rgba_sunset.png` or `rgba_sunset_000.png` (the light that TensoIR fits to), or else
-//! the only picture called `rgba_….png`; alpha is its mask. Views of the test split for which that leaves none, or a choice, are cameras
-//! only. The others are the truth of relit pictures, and `albedo.png` and `normal.png` that of the layers. Where no folder is called
-//! `test_…`, those called `val_…` are the test split.
+//! The layout of NeRFactor and of TensoIR-Synthetic, as the manual's chapter on layouts tells it: a folder for each view, with its camera in
+//! `metadata.json` and its pictures under one or several lights beside it. `cam_transform_mat` is the rows of world_from_camera, with OpenGL
+//! axes (x right, y up, z backward); `cam_angle_x` the full horizontal field of view in radians; `imw` and `imh` are pixels.
 
 use crate::codec::file::is_there;
 use crate::dataset::files::{entries, file_name, quoted, read_json};
-use crate::dataset::lens::{Focal, Lens};
-use crate::dataset::pose::Rigid;
-use crate::dataset::views::{Plan, ViewPlan};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
+use crate::dataset::{lens::Focal, lens::Lens, pose::Rigid, views::Plan, views::ViewPlan};
+use lobelia_geometry::{Error, Result, view::Split};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -38,12 +25,8 @@ pub(super) fn view_folders(dir: &Path, split: Split) -> Vec<PathBuf> {
         };
         entries(dir).filter(is_view).collect::<Vec<_>>()
     };
-    match split {
-        Split::Train => called("train_"),
-        Split::Test => {
-            Some(called("test_")).filter(|test| !test.is_empty()).unwrap_or_else(|| called("val_"))
-        }
-    }
+    let kinds: &[&str] = if split == Split::Train { &["train_"] } else { &["test_", "val_"] };
+    kinds.iter().map(|kind| called(kind)).find(|views| !views.is_empty()).unwrap_or_default()
 }
 
 /// A camera file.
@@ -99,17 +82,14 @@ fn photograph(folder: &Path) -> Result<PathBuf> {
     let mut others: Vec<String> = entries(folder).map(|path| file_name(&path)).filter(is_other).collect();
     others.sort();
     let [usual, sunset, _] = PHOTOGRAPHS;
-    match others.as_slice() {
-        [only] => Ok(folder.join(only)),
-        [] => {
-            let problem = format!("the photograph of this view is missing: there is no {usual}");
-            Err(Error::input(folder.join(usual), "", problem, "It is a PNG with alpha."))
-        }
-        several => {
-            let problem = format!("which is the photograph? There are {}", several.join(", "));
-            let help =
-                format!("Name the one to fit to {usual} in each folder; {sunset} would be taken, too.");
-            Err(Error::input(folder, "", problem, help))
-        }
+    if let [only] = others.as_slice() {
+        return Ok(folder.join(only));
     }
+    let list = if others.is_empty() { "none".to_owned() } else { others.join(", ") };
+    let problem =
+        format!("the photograph of this view is missing: there is no {usual}, and of other lights {list}");
+    let help = format!(
+        "Name the one to fit to {usual} in each folder; {sunset} would be taken, too. It is a PNG with alpha."
+    );
+    Err(Error::input(folder, "", problem, help))
 }

@@ -1,21 +1,13 @@
-//! PhySG's layout: `DIR/{train,test}/image`, `mask`, and `cam_dict_norm.json`.
-//!
-//! The JSON maps each image's file name to `K` and `W2C` (16 numbers each, row-major 4×4, camera_from_world with OpenCV
-//! axes) and `img_size` (`[width, height]`). Without an `image` folder the views are cameras only. Images and masks are
-//! found by file stem, so a mask may be a PNG beside an EXR; masks may have any usual name. Without a `mask` folder the images' alpha is
-//! the mask.
+//! PhySG's layout, as the manual's chapter on layouts tells it: `DIR/{train,test}/image`, `mask`, and `cam_dict_norm.json`, which maps each
+//! image's file name to `K` and `W2C` (16 numbers each, row-major 4×4, camera_from_world with OpenCV axes) and `img_size`.
 
 use crate::codec::file::is_there;
-use crate::codec::image::image_header;
 use crate::dataset::files::{Folders, check_image_name, mask_folder, quoted, read_json, view_name};
-use crate::dataset::lens::Lens;
-use crate::dataset::pose::Rigid;
 use crate::dataset::views::{Plan, ViewPlan, split_name};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::Split;
+use crate::dataset::{lens::Lens, pose::Rigid};
+use lobelia_geometry::{Error, Result, view::Split};
 use serde::Deserialize;
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::{collections::BTreeMap, path::Path, path::PathBuf};
 
 /// The file that describes the cameras of a split.
 pub(super) fn camera_file(dir: &Path, split: Split) -> PathBuf {
@@ -56,17 +48,7 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
             )
         })?;
         let name = view_name(&key);
-        let image =
-            images.as_mut().map(|images| images.photograph(&key)).transpose()?.map(|(_, image)| image);
-        if let (Some(image), None) = (&image, &masks)
-            && !image_header(image)?.has_alpha()
-        {
-            let problem = format!(
-                "the view `{name}` has no mask: there is no folder `mask`, and the image has no alpha"
-            );
-            let help = "Add a mask for every image: white where the object is, black elsewhere.";
-            return Err(Error::input(image, "", problem, help));
-        }
+        let image = images.as_mut().map(|images| images.photograph(&key)).transpose()?.map(|found| found.1);
         views.push(ViewPlan {
             name,
             camera_file: file.clone(),

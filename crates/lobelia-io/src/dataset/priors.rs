@@ -10,13 +10,10 @@
 
 use crate::codec::file::FileUse;
 use crate::codec::image::{Gamma, LoadedImage, Orientation, image_header, read_image};
-use crate::dataset::files::StemIndex;
-use crate::dataset::lens::Straightening;
+use crate::dataset::{files::StemIndex, lens::Straightening};
 use glam::{DVec2, Vec3};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::raster::bilinear;
-use lobelia_geometry::view::{Camera, Image, Mask, PixelWindow, Split};
-use lobelia_geometry::view::{PriorMap, ViewPriors};
+use lobelia_geometry::view::{Camera, Image, Mask, PixelWindow, PriorMap, Split, ViewPriors};
+use lobelia_geometry::{Error, Result, view::raster::bilinear};
 use lobelia_sg::statistics::quantile;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -188,10 +185,8 @@ impl MapLookup<'_> {
             let stored = if is_float { stored } else { 2.0 * stored - 1.0 };
             let known = KNOWN_LENGTHS.contains(&stored.length());
             let normal = stored.normalize_or_zero() * f32::from(u8::from(known));
-            match axes {
-                NormalAxes::Camera => *camera * (normal * Vec3::new(1.0, -1.0, -1.0)),
-                NormalAxes::World => normal,
-            }
+            let in_camera = normal * Vec3::new(1.0, -1.0, -1.0);
+            if axes == NormalAxes::Camera { *camera * in_camera } else { normal }
         };
         let normals = self.read(path, Gamma::Linear, world)?;
         self.check_facing(path, axes, &normals)?;
@@ -257,7 +252,7 @@ impl MapLookup<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::test_data::write_exr;
+    use crate::codec::test_data::{temporary, write_exr};
     use crate::dataset::lens::Distortion;
 
     #[test]
@@ -267,8 +262,7 @@ mod tests {
         let way = Straightening::new(lens, &bent).unwrap();
         let value = |i: usize| 0.1 + 0.01 * (i % 24) as f32 + 0.02 * (i / 24) as f32;
         let pixels: Vec<f32> = (0..24 * 18).map(value).collect();
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("v.exr");
+        let (_folder, path) = temporary("v.exr");
         write_exr(&path, 24, 18, &["R", "G", "B"].map(|channel| (channel, pixels.clone())));
         let image = Image { width: 24, height: 18, pixels: pixels.into_iter().map(Vec3::splat).collect() };
         for downscale in [1, 3] {

@@ -6,38 +6,36 @@ use crate::codec::image::{
     image_header, linear_image, read_mask,
 };
 use crate::dataset::lens::{Distortion, Lens, Straightening};
-use crate::dataset::pose::Rigid;
-use crate::dataset::priors::{MapLookup, PriorFiles};
+use crate::dataset::{pose::Rigid, priors::MapLookup, priors::PriorFiles};
 use glam::{Affine3A, Vec3};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::raster::any_downscaled;
 use lobelia_geometry::view::stored::{Curve, IntegerSamples};
 use lobelia_geometry::view::{
     Camera, Mask, Photograph, PixelWindow, Placement, Split, StoredMask, ViewRecord,
 };
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use lobelia_geometry::{Error, Result, view::raster::any_downscaled};
+use std::{path::Path, path::PathBuf, sync::Arc};
 
 /// A view as a layout describes it, before its photograph is read.
 #[derive(Clone, Debug)]
-pub(super) struct ViewPlan {
+pub struct ViewPlan {
     /// File stem of the image.
     pub name: String,
     /// The file that describes the camera.
     pub camera_file: PathBuf,
     /// Where in that file.
-    pub place: String,
+    pub(super) place: String,
+    /// The file of the photograph, unless the data set has cameras only.
     pub image: Option<PathBuf>,
     /// The file of the mask; if `None`, the image's alpha is the mask, if it has any.
     pub mask: Option<PathBuf>,
-    pub lens: Lens,
+    pub(super) lens: Lens,
     /// World_from_camera.
-    pub pose: Rigid,
+    pub(super) pose: Rigid,
 }
 
 impl ViewPlan {
     /// The error for a camera of which something is wrong.
-    pub fn wrong(&self, problem: impl Into<String>, help: impl Into<String>) -> Error {
+    pub(super) fn wrong(&self, problem: impl Into<String>, help: impl Into<String>) -> Error {
         Error::input(&self.camera_file, &self.place, problem, help)
     }
 
@@ -72,10 +70,9 @@ impl ViewPlan {
 
     /// The mask, from its file or from the alpha of the photograph.
     fn mask(&self, picture: Option<&Picture>, [width, height]: [u32; 2]) -> Result<Option<Mask>> {
-        let alpha = || picture.and_then(Picture::alpha);
         let mask = match &self.mask {
-            Some(path) => Some(read_mask(path, Orientation::AsStored)?.mask),
-            None => alpha().map(|coverage| Mask { width, height, coverage }),
+            Some(path) => Some(read_mask(path, Orientation::AsStored)?),
+            None => picture.and_then(Picture::alpha).map(|coverage| Mask { width, height, coverage }),
         };
         if mask.as_ref().is_some_and(|mask| mask.coverage.iter().all(|&coverage| coverage == 0.0)) {
             let problem = format!("the mask of view `{}` is empty: no pixel is covered", self.name);
@@ -89,9 +86,9 @@ impl ViewPlan {
 
 /// The problem if the EXIF orientation of a view's image explains why `other`, of size `whose`, has not its size.
 fn turned(header: Option<&ImageHeader>, other: &str, whose: [u32; 2]) -> Option<String> {
-    let [upright, stored] = [Orientation::Upright, Orientation::AsStored].map(|way| Some(header?.size(way)));
-    let ([w, h], [width, height]) = (upright.filter(|upright| *upright == whose)?, stored?);
-    ([w, h] != [width, height]).then(|| {
+    let header = header?;
+    let ([width, height], [w, h]) = (header.size(Orientation::AsStored), whose);
+    (header.size(Orientation::Upright) == whose && whose != [width, height]).then(|| {
         format!(
             "the image is {width}×{height} as stored and {w}×{h} as its EXIF orientation shows it; {other} is {w}×{h}"
         )
@@ -105,17 +102,16 @@ pub(super) struct Plan {
 }
 
 pub(super) fn split_name(split: Split) -> &'static str {
-    match split {
-        Split::Train => "train",
-        Split::Test => "test",
-    }
+    if split == Split::Train { "train" } else { "test" }
 }
 
 /// A view of a data set whose files are found and not read.
 #[derive(Clone, Debug)]
 pub struct PlannedView {
-    pub(super) plan: ViewPlan,
-    pub(super) split: Split,
+    /// Its name and files.
+    pub plan: ViewPlan,
+    /// Its part of the data set.
+    pub split: Split,
     pub(super) curves: Arc<Curves>,
     pub(super) pixel_center: f32,
     pub(super) downscale: u32,
@@ -132,44 +128,21 @@ pub struct LoadedView {
     pub repairs: Repairs,
     /// Whether the background outside the mask is made black.
     pub blackened: bool,
+    /// The field of view in degrees that is left by undistortion, if it leaves out what the photograph shows.
+    pub cropped: Option<[f64; 2]>,
 }
 
 impl PlannedView {
-    /// Name of the view.
-    pub fn name(&self) -> &str {
-        &self.plan.name
-    }
-
-    /// Its part of the data set.
-    pub fn split(&self) -> Split {
-        self.split
-    }
-
     /// The camera's axes (x right, y down, z forward) and position in the world.
     pub fn world_from_camera(&self) -> Affine3A {
         self.plan.pose.to_affine()
     }
 
-    /// The file that describes the camera.
-    pub fn camera_file(&self) -> &Path {
-        &self.plan.camera_file
-    }
-
-    /// The file of the photograph, unless the data set has cameras only.
-    pub fn image_path(&self) -> Option<&Path> {
-        self.plan.image.as_deref()
-    }
-
-    /// The file of the mask, unless alpha is the mask.
-    pub fn mask_path(&self) -> Option<&Path> {
-        self.plan.mask.as_deref()
-    }
-
     /// Photograph, mask and prior maps, as files that are read.
     pub fn pictures(&self) -> impl Iterator<Item = FileUse> {
-        let photograph = self.image_path().map(|path| FileUse::new(path, "a photograph"));
-        let mask = self.mask_path().map(|path| FileUse::new(path, "a mask"));
-        photograph.into_iter().chain(mask).chain(self.priors.uses())
+        let photograph = self.plan.image.iter().map(|path| FileUse::new(path, "a photograph"));
+        let mask = self.plan.mask.iter().map(|path| FileUse::new(path, "a mask"));
+        photograph.chain(mask).chain(self.priors.uses())
     }
 
     /// Reads photograph and mask: first what their headers say, so that no pixel is decoded of files that do not fit.
@@ -190,7 +163,7 @@ impl PlannedView {
             return Err(plan.wrong(problem, "Use a smaller `downscale`."));
         }
         let mask_header = plan.mask.as_ref().map(image_header).transpose()?;
-        let mask_size = mask_header.as_ref().map(|header| header.size(Orientation::AsStored));
+        let mask_size = mask_header.map(|header| header.size(Orientation::AsStored));
         if let (Some([w, h]), Some(path)) = (mask_size.filter(|mask| *mask != size), &plan.mask) {
             let problem = turned(header.as_ref(), "its mask", [w, h])
                 .unwrap_or_else(|| format!("the mask has {w}×{h} pixels, its view {width}×{height}"));
@@ -214,9 +187,11 @@ impl PlannedView {
             mask = mask.map(|mask| way.mask(&mask));
         }
         let camera = way.as_ref().map_or(bent, |way| way.camera).scaled(downscale);
-        let blackened =
-            picture.as_mut().zip(mask.as_ref()).is_some_and(|(picture, mask)| picture.blacken(mask));
-        let repairs = picture.as_ref().map(Picture::repairs).unwrap_or_default();
+        let blackened = picture.as_mut().zip(mask.as_ref()).is_some_and(|(of, mask)| of.blacken(mask));
+        let repairs = match &picture {
+            Some(Picture::Linear(loaded)) => loaded.repairs.clone(),
+            _ => Repairs::default(),
+        };
         let mask = mask.map(|mask| if downscale > 1 { mask.downscaled(downscale) } else { mask });
         let keep =
             |picture: Picture| picture.keep(&camera, downscale, is_resampled, mask.as_ref(), &self.curves);
@@ -232,7 +207,8 @@ impl PlannedView {
             placement: self.placement,
             ..ViewRecord::of_camera(plan.name.clone(), self.split, camera)
         };
-        Ok(LoadedView { record, repairs, blackened })
+        let cropped = way.filter(|way| way.is_cropped).map(|way| way.field_degrees());
+        Ok(LoadedView { record, repairs, blackened, cropped })
     }
 }
 
@@ -258,6 +234,11 @@ pub fn load_notes(loaded: &[LoadedView]) -> Vec<String> {
     let blackened = loaded.iter().filter(|view| view.blackened).count();
     notes.extend((blackened > 0).then(|| {
         format!("the background outside the mask is made black in {blackened} photographs without alpha")
+    }));
+    let fields: Vec<[f64; 2]> = loaded.iter().filter_map(|view| view.cropped).collect();
+    notes.extend(fields.first().map(|[width, height]| {
+        let count = fields.len();
+        format!("{count} photographs show more than a pinhole camera can; undistorted they are cropped to {width:.0}° × {height:.0}°")
     }));
     notes
 }
@@ -294,21 +275,13 @@ impl Picture {
         Ok(Self::Stored(decoded))
     }
 
-    /// What was repaired; integers need none.
-    fn repairs(&self) -> Repairs {
-        match self {
-            Self::Stored(_) => Repairs::default(),
-            Self::Linear(loaded) => loaded.repairs.clone(),
-        }
-    }
-
     /// Coverage in `[0, 1]`, if the file has alpha.
     fn alpha(&self) -> Option<Vec<f32>> {
         let decoded = match self {
             Self::Linear(loaded) => return loaded.alpha.clone(),
             Self::Stored(decoded) => Some(decoded).filter(|decoded| decoded.header.has_alpha())?,
         };
-        let channels = decoded.channels();
+        let channels = decoded.header.channels;
         let alphas = || (channels - 1..decoded.samples.count()).step_by(channels);
         Some(match &decoded.samples {
             ImageSamples::Bytes8(bytes) => alphas().map(|i| f32::from(bytes[i]) / 255.0).collect(),
@@ -326,7 +299,7 @@ impl Picture {
         match self {
             Self::Stored(decoded) if decoded.header.has_alpha() => false,
             Self::Stored(decoded) => {
-                let channels = decoded.channels();
+                let channels = decoded.header.channels;
                 match &mut decoded.samples {
                     ImageSamples::Bytes8(bytes) => blacken(bytes, channels, mask),
                     ImageSamples::Words16(words) => blacken(words, channels, mask),
@@ -364,7 +337,7 @@ impl Picture {
                     ImageSamples::Words16(words) => (IntegerSamples::Words(words), &curves.words),
                     ImageSamples::Floats(_) => unreachable!("floats are read as linear light"),
                 };
-                Ok(Photograph::of_integers(size, samples, decoded.channels(), curve, window))
+                Ok(Photograph::of_integers(size, samples, decoded.header.channels, curve, window))
             }
             Self::Linear(LoadedImage { mut image, mut saturated, .. }) => {
                 if downscale > 1 {

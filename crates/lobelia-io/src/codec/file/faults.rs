@@ -85,20 +85,17 @@ mod tests {
     //! Every codec on a disk that gives few bytes at a time, is interrupted, or fails: the same bytes and values, or one error and nothing left.
 
     use super::{Call, Faulty, FileFault};
-    use crate::codec::envmap::read_map;
-    use crate::codec::exr_frame::{read_frame, write_frame};
     use crate::codec::file::{read_parts, read_text, write_bytes};
-    use crate::codec::gltf::export::write_glb;
-    use crate::codec::gltf::import::read_mesh;
     use crate::codec::image::{Gamma, Orientation, read_image};
     use crate::codec::npy::{NpyConvention, read_lobes, write_lobes};
-    use crate::codec::png_file::write_rgb8;
-    use crate::codec::test_data::hdr_bytes;
+    use crate::codec::{
+        envmap::read_map, exr_frame::read_frame, exr_frame::write_frame, gltf::export::write_glb,
+        gltf::import::read_mesh, png_file::write_rgb8, test_data::frame, test_data::hdr_bytes,
+        test_data::temporary,
+    };
     use glam::Vec3;
     use image::{Rgb, RgbImage};
-    use lobelia_geometry::error::Result;
-    use lobelia_geometry::mesh::primitive::box_mesh;
-    use lobelia_geometry::view::Frame;
+    use lobelia_geometry::{Result, mesh::primitive::box_mesh};
     use lobelia_world::light::LightLobe;
     use std::path::Path;
 
@@ -112,29 +109,13 @@ mod tests {
         RgbImage::from_fn(19, 13, |x, y| Rgb([x as u8 * 13, y as u8 * 19, (x * y) as u8]))
     }
 
-    fn frame() -> Frame {
-        let (width, height) = (9, 7);
-        let colors: Vec<Vec3> = (0..width * height).map(|i| Vec3::new(0.1, 0.02 * i as f32, 0.5)).collect();
-        Frame {
-            width,
-            height,
-            color: colors.clone(),
-            diffuse: colors.clone(),
-            specular: colors.clone(),
-            albedo: colors.clone(),
-            normal: colors.clone(),
-            depth: vec![1.0; width * height],
-            alpha: vec![1.0; width * height],
-        }
-    }
-
     fn cube() -> lobelia_geometry::mesh::triangles::Mesh {
         box_mesh(Vec3::ZERO, Vec3::ONE).unwrap()
     }
 
     const WRITERS: [Writer; 4] = [
         ("a.png", |path| write_rgb8(path, &picture())),
-        ("a.exr", |path| write_frame(path, &frame())),
+        ("a.exr", |path| write_frame(path, &frame(9, 7))),
         ("a.glb", |path| write_glb(path, &cube(), None)),
         ("a.txt", |path| write_bytes(path, &[7; 20_000])),
     ];
@@ -167,7 +148,7 @@ mod tests {
         ),
         (
             "f.exr",
-            |path| write_frame(path, &frame()).unwrap(),
+            |path| write_frame(path, &frame(9, 7)).unwrap(),
             |path| shown((read_any(path)?, read_frame(path)?)),
         ),
         (
@@ -205,8 +186,7 @@ mod tests {
         for (name, write) in WRITERS {
             for (call, after) in [(Call::Write, 0), (Call::Write, 1), (Call::Sync, 0)] {
                 for errno in ERRORS {
-                    let folder = tempfile::tempdir().unwrap();
-                    let path = folder.path().join(name);
+                    let (folder, path) = temporary(name);
                     std::fs::write(&path, b"old").unwrap();
                     let faulty = Faulty::new(folder.path(), call, FileFault::Errno { errno, after });
                     let written = write(&path);
@@ -235,8 +215,7 @@ mod tests {
     #[test]
     fn few_bytes_at_a_time_and_interruptions_read_the_same_values() {
         for (name, write, read) in READERS {
-            let folder = tempfile::tempdir().unwrap();
-            let path = folder.path().join(name);
+            let (folder, path) = temporary(name);
             write(&path);
             let whole = read(&path).unwrap();
             for fault in [FileFault::Short(1), FileFault::Short(5), FileFault::Interrupted] {
@@ -250,8 +229,7 @@ mod tests {
     #[test]
     fn a_disk_that_fails_while_it_is_read_is_one_error_that_names_the_file() {
         for (name, write, read) in READERS {
-            let folder = tempfile::tempdir().unwrap();
-            let path = folder.path().join(name);
+            let (folder, path) = temporary(name);
             write(&path);
             for after in [0, 1] {
                 let _faulty = Faulty::new(folder.path(), Call::Read, FileFault::Errno { errno: 5, after });
@@ -266,8 +244,7 @@ mod tests {
 
     #[test]
     fn texts_and_parts_are_whole_in_spite_of_interruptions() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.ron");
+        let (folder, path) = temporary("a.ron");
         let text = "grün ".repeat(300);
         std::fs::write(&path, &text).unwrap();
         for fault in [FileFault::Short(1), FileFault::Interrupted] {

@@ -1,11 +1,10 @@
 //! What is asked before anything is written into a folder: whether a file that is to be written is one that is read, told by what
 //! paths lead to and not by how they are spelled; whether files can be made there; and whether another process writes there.
 
-use crate::codec::file::write::create_folders;
+use crate::codec::file::write::{create_folders, folder_of};
 use lobelia_geometry::{Error, Result};
-use std::collections::HashMap;
 use std::fs::{self, File, TryLockError};
-use std::path::{Path, PathBuf};
+use std::{collections::HashMap, path::Path, path::PathBuf};
 
 /// A file, and what reads or writes it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -28,13 +27,9 @@ impl FileUse {
 /// # Errors
 /// [`Error::Usage`] that names the first such file and both uses.
 pub fn check_apart(inputs: &[FileUse], outputs: &[FileUse], help: &str) -> Result<()> {
-    clash(
-        inputs,
-        outputs,
-        help,
-        |path| path.canonicalize().ok(),
-        |output, input| format!("{} would replace {}, {}", output.by, output.path.display(), input.by),
-    )
+    clash(inputs, outputs, help, Path::to_owned, |output, input| {
+        format!("{} would replace {}, {}", output.by, output.path.display(), input.by)
+    })
 }
 
 /// Checks that no file is to be written into a folder of which pictures are read: it would be one of them the next time.
@@ -42,34 +37,35 @@ pub fn check_apart(inputs: &[FileUse], outputs: &[FileUse], help: &str) -> Resul
 /// # Errors
 /// [`Error::Usage`] that names the first such file, and one of the pictures.
 pub fn check_not_among(pictures: &[FileUse], outputs: &[FileUse], help: &str) -> Result<()> {
-    // The parent of a mere name is empty: the working folder.
-    let folder_of = |path: &Path| path.parent().and_then(|folder| folder.join(".").canonicalize().ok());
-    clash(pictures, outputs, help, folder_of, |output, picture| {
-        let (file, among) = (output.path.display(), picture.path.display());
-        format!("{} would write {file} beside {among}, {}", output.by, picture.by)
-    })
+    clash(
+        pictures,
+        outputs,
+        help,
+        |path| folder_of(path).join("."),
+        |output, picture| {
+            let (file, among) = (output.path.display(), picture.path.display());
+            format!("{} would write {file} beside {among}, {}", output.by, picture.by)
+        },
+    )
 }
 
-/// Refuses the first output of which `of` gives what it gives of an input; nothing is given where nothing exists.
+/// Refuses the first output of which `of` gives a path that leads to what it gives of an input, if that exists.
 fn clash(
     inputs: &[FileUse],
     outputs: &[FileUse],
     help: &str,
-    of: impl Fn(&Path) -> Option<PathBuf>,
+    of: impl Fn(&Path) -> PathBuf,
     problem: impl Fn(&FileUse, &FileUse) -> String,
 ) -> Result<()> {
-    let read: HashMap<PathBuf, &FileUse> =
-        inputs.iter().filter_map(|input| Some((of(&input.path)?, input))).collect();
-    let found = |output: &FileUse| Some(problem(output, read.get(&of(&output.path)?)?));
+    let led = |file: &FileUse| of(&file.path).canonicalize().ok();
+    let read: HashMap<_, _> = inputs.iter().filter_map(|input| Some((led(input)?, input))).collect();
+    let found = |output: &FileUse| Some(problem(output, read.get(&led(output)?)?));
     outputs.iter().find_map(found).map_or(Ok(()), |problem| Err(Error::usage(problem, help)))
 }
 
 /// True if `path` exists and is `folder` or lies in it, whatever links lead there.
 pub fn lies_in(path: &Path, folder: &Path) -> bool {
-    match (path.canonicalize(), folder.canonicalize()) {
-        (Ok(path), Ok(folder)) => path.starts_with(folder),
-        _ => false,
-    }
+    path.canonicalize().is_ok_and(|path| folder.canonicalize().is_ok_and(|folder| path.starts_with(folder)))
 }
 
 /// Checks that files can be made in `folder`, which need not exist yet: a file without a name is made in the nearest folder
@@ -78,9 +74,8 @@ pub fn lies_in(path: &Path, folder: &Path) -> bool {
 /// # Errors
 /// [`Error::Usage`] if a part of the path is a file, or the folder may not be written into.
 pub fn check_writable(folder: &Path) -> Result<()> {
-    let places = folder.ancestors().filter(|place| !place.as_os_str().is_empty());
-    let existing = places.chain([Path::new(".")]).find(|place| place.symlink_metadata().is_ok());
-    let existing = existing.unwrap_or(Path::new("."));
+    let mut places = folder.ancestors().filter(|place| !place.as_os_str().is_empty());
+    let existing = places.find(|place| place.symlink_metadata().is_ok()).unwrap_or(Path::new("."));
     tempfile::tempfile_in(existing).map(|_| ()).map_err(|error| {
         let problem = if existing.is_file() {
             format!("{} cannot be made: {} is a file", folder.display(), existing.display())
@@ -135,10 +130,8 @@ impl FolderLock {
     pub fn check_free(folder: &Path) -> Result<()> {
         check_ours(&folder.join(LOCK))?;
         let Ok(file) = File::open(folder.join(LOCK)) else { return Ok(()) };
-        match file.try_lock_shared() {
-            Err(TryLockError::WouldBlock) => Err(busy(folder)),
-            _ => Ok(()),
-        }
+        let is_taken = matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock));
+        if is_taken { Err(busy(folder)) } else { Ok(()) }
     }
 }
 
@@ -147,11 +140,7 @@ impl Drop for FolderLock {
         // What cannot be removed does no harm. Folders that were made go only if nothing was put into them.
         let _ = fs::remove_file(&self.path);
         let _ = self.file.unlock();
-        for folder in &self.made {
-            if fs::remove_dir(folder).is_err() {
-                break;
-            }
-        }
+        let _ = self.made.iter().try_for_each(fs::remove_dir);
     }
 }
 

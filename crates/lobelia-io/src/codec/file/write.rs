@@ -3,11 +3,9 @@
 
 use crate::codec::file::DiskFile;
 use lobelia_geometry::{Error, Result};
-use std::collections::HashSet;
-use std::ffi::OsStr;
-use std::fs::{self, File};
-use std::io::{BufWriter, ErrorKind, Write as _};
-use std::path::{Path, PathBuf};
+use std::io::ErrorKind::{NotADirectory, NotFound};
+use std::io::{BufWriter, Write as _};
+use std::{collections::HashSet, ffi::OsStr, fmt::Display, fs, fs::File, path::Path, path::PathBuf};
 use tempfile::TempDir;
 
 /// Writes `path` through `write`: the bytes go to a hidden temporary file in the same folder (created if missing), which
@@ -18,15 +16,15 @@ use tempfile::TempDir;
 /// The errors of `write`, or [`Error::Io`] for other errors of the operating system.
 pub fn write_file(path: &Path, write: impl FnOnce(&mut BufWriter<DiskFile>) -> Result<()>) -> Result<()> {
     let folder = folder_of(path);
-    create_folders(&folder)?;
+    create_folders(folder)?;
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(".part");
     // A temporary file is private to its owner by default; a result has the usual permissions (0666 less umask).
     #[cfg(unix)]
     let builder = builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let made = builder.tempfile_in(&folder).map_err(Error::io("create a file in", &folder))?;
+    let made = builder.tempfile_in(folder).map_err(Error::io("create a file in", folder))?;
     let (file, temporary) = made.into_parts();
-    let mut writer = BufWriter::new(DiskFile::new(file, path));
+    let mut writer = BufWriter::new(DiskFile { file, path: path.to_owned() });
     write(&mut writer)?;
     let file = writer.into_inner().map_err(|failed| Error::io("write", path)(failed.into_error()))?;
     // After a power cut there is the old file or the new one, never an empty one.
@@ -35,7 +33,7 @@ pub fn write_file(path: &Path, write: impl FnOnce(&mut BufWriter<DiskFile>) -> R
         file.sync_all().map_err(Error::io("write", path))?;
     }
     temporary.persist(path).map_err(|refused| Error::io("write", path)(refused.error))?;
-    if counts { sync_folder(&folder) } else { Ok(()) }
+    if counts { sync_folder(folder) } else { Ok(()) }
 }
 
 /// `write_file` for bytes that are already in memory.
@@ -52,13 +50,13 @@ pub fn check_finite(
     values: impl IntoIterator<Item = f32>,
     what: impl FnOnce(usize) -> String,
 ) -> Result<()> {
-    match values.into_iter().position(|value| !value.is_finite()) {
-        Some(at) => {
-            let problem = format!("{}, so nothing is written", what(at));
-            Err(Error::run(format!("writing {}", path.display()), problem))
-        }
-        None => Ok(()),
-    }
+    let Some(at) = values.into_iter().position(|value| !value.is_finite()) else { return Ok(()) };
+    Err(not_written(path, format!("{}, so nothing is written", what(at))))
+}
+
+/// The error for what cannot be written to `path`.
+pub(crate) fn not_written(path: &Path, problem: impl Display) -> Error {
+    Error::run(format!("writing {}", path.display()), problem.to_string())
 }
 
 /// Creates `folder` and those around it that are missing, with their names on the disk; returns them, from the innermost.
@@ -69,16 +67,13 @@ pub(crate) fn create_folders(folder: &Path) -> Result<Vec<PathBuf>> {
     let is_new = |place: &&Path| !place.as_os_str().is_empty() && !place.exists();
     let made: Vec<PathBuf> = folder.ancestors().take_while(is_new).map(Path::to_owned).collect();
     fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
-    let lasting = made.iter().filter(|made| !is_scratch(made));
-    lasting.map(|made| folder_of(made)).try_for_each(|around| sync_folder(&around))?;
+    made.iter().filter(|made| !is_scratch(made)).try_for_each(|made| sync_folder(folder_of(made)))?;
     Ok(made)
 }
 
-fn folder_of(path: &Path) -> PathBuf {
-    match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
-        _ => PathBuf::from("."),
-    }
+/// The folder that a path is in: of a mere name the working folder.
+pub(crate) fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Puts the names in a folder on the disk.
@@ -127,21 +122,17 @@ fn is_scratch(file: &Path) -> bool {
 /// [`Error::Io`] if something cannot be removed.
 pub fn clear_scratch(folder: &Path) -> Result<()> {
     let entries = match fs::read_dir(folder) {
-        Ok(entries) => entries,
-        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
-            return Ok(());
-        }
-        Err(error) => return Err(Error::io("read", folder)(error)),
+        Err(error) if matches!(error.kind(), NotFound | NotADirectory) => return Ok(()),
+        entries => entries.map_err(Error::io("read", folder))?,
     };
     for entry in entries {
         let entry = entry.map_err(Error::io("read", folder))?;
-        if !is_unfinished(&entry.file_name()) {
-            continue;
-        }
         let path = entry.path();
-        let is_folder = entry.file_type().map_err(Error::io("read", &path))?.is_dir();
-        let removed = if is_folder { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
-        removed.map_err(Error::io("remove", &path))?;
+        if is_unfinished(&entry.file_name()) {
+            let is_folder = entry.file_type().map_err(Error::io("read", &path))?.is_dir();
+            let removed = if is_folder { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+            removed.map_err(Error::io("remove", &path))?;
+        }
     }
     Ok(())
 }
@@ -163,10 +154,8 @@ pub fn check_file_name(name: &str) -> Result<(), String> {
     if matches!(name, "." | "..") {
         return Err("stands for a folder".to_owned());
     }
-    match name.chars().find(|&c| matches!(c, '/' | '\\') || c.is_control()) {
-        Some(c) => Err(format!("holds {c:?}, which a file name must not")),
-        None => Ok(()),
-    }
+    let bad = name.chars().find(|&c| matches!(c, '/' | '\\') || c.is_control());
+    bad.map_or(Ok(()), |c| Err(format!("holds {c:?}, which a file name must not")))
 }
 
 /// The stems of the files of things with these names, in the order of the names, apart from each other and from those that are `taken`
@@ -179,7 +168,7 @@ pub fn file_stems(names: &[&str], taken: &[&str]) -> Vec<String> {
     for is_kept in [true, false] {
         for (name, place) in names.iter().zip(&mut stems) {
             if check_file_name(name).is_ok() == is_kept {
-                let stem = file_stem(name);
+                let stem = if is_kept { (*name).to_owned() } else { file_stem(name) };
                 let numbered = (2u64..).map(|number| format!("{stem}_{number}"));
                 let mut candidates = std::iter::once(stem.clone()).chain(numbered);
                 let alone = candidates.find(|candidate| used.insert(candidate.to_lowercase()));
@@ -190,10 +179,8 @@ pub fn file_stems(names: &[&str], taken: &[&str]) -> Vec<String> {
     stems
 }
 
+/// The stem for a name that a file cannot have.
 fn file_stem(name: &str) -> String {
-    if check_file_name(name).is_ok() {
-        return name.to_owned();
-    }
     let allowed = |c: char| if matches!(c, '/' | '\\') || c.is_control() { '_' } else { c };
     let mut stem: String = name.chars().map(allowed).collect();
     while stem.len() > MOST_NAME_BYTES {
@@ -205,6 +192,7 @@ fn file_stem(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::test_data::temporary;
 
     fn names_in(folder: &Path) -> Vec<String> {
         let mut names: Vec<String> = fs::read_dir(folder)
@@ -217,8 +205,7 @@ mod tests {
 
     #[test]
     fn success_leaves_only_the_final_file_and_failure_the_old_one() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("new/out.txt");
+        let (_folder, path) = temporary("new/out.txt");
         write_bytes(&path, b"one").unwrap();
         write_bytes(&path, b"two").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"two");
@@ -243,19 +230,6 @@ mod tests {
         fs::write(&plain, b"x").unwrap();
         let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode();
         assert_eq!(mode(&ours), mode(&plain));
-    }
-
-    #[test]
-    fn the_first_value_that_is_not_finite_is_named() {
-        let check = |values: &[f32]| {
-            let what = |at| format!("weight {at} is not finite");
-            check_finite(Path::new("a.npy"), values.iter().copied(), what)
-        };
-        check(&[0.0, -1.0, f32::MAX, f32::MIN_POSITIVE]).unwrap();
-        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-            let error = check(&[1.0, bad, bad]).unwrap_err().to_string();
-            assert_eq!(error, "writing a.npy: weight 1 is not finite, so nothing is written");
-        }
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! Writing a mesh as binary glTF 2.0.
 
+use crate::codec::file::{check_finite, not_written, write_bytes};
 use crate::codec::gltf::material::GltfMaterial;
-use lobelia_geometry::mesh::tangents::vertex_tangents;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::{Error, Result};
+use glam::{Vec2, Vec3};
+use lobelia_geometry::{Result, mesh::tangents::vertex_tangents, mesh::triangles::Mesh};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -17,13 +17,9 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 /// The file is created only when it is complete.
 ///
 /// # Errors
-/// [`Error::Run`] if the arrays of the mesh have different lengths, it is empty or not finite, a texture has no texture coordinates, or the file would
-/// exceed 4 GiB; [`Error::Io`] if the file cannot be written.
+/// [`Error::Run`](lobelia_geometry::Error::Run) if the mesh is empty or not finite, or the file would exceed 4 GiB; [`Error::Io`](lobelia_geometry::Error::Io) if the file cannot be written.
 pub fn write_glb(path: &Path, mesh: &Mesh, material: Option<&GltfMaterial>) -> Result<()> {
-    let failed = |problem: &str| Error::run(format!("writing {}", path.display()), problem);
-    if let Some(problem) = obstacle(mesh, material) {
-        return Err(failed(problem));
-    }
+    check_mesh(path, mesh, material.into_iter().flat_map(GltfMaterial::values))?;
     let mut binary = Binary::default();
     let has_map = material.is_some_and(|material| material.normal_image.is_some());
     let primitive = primitive(&mut binary, mesh, has_map);
@@ -42,41 +38,22 @@ pub fn write_glb(path: &Path, mesh: &Mesh, material: Option<&GltfMaterial>) -> R
     root["bufferViews"] = Value::Array(binary.views);
     root["buffers"] = json!([{"byteLength": binary.bytes.len()}]);
     let container = container(&root.to_string(), &binary.bytes)
-        .ok_or_else(|| failed("a GLB cannot hold more than 4 GiB"))?;
-    crate::codec::file::write_bytes(path, &container)
+        .ok_or_else(|| not_written(path, "a GLB cannot hold more than 4 GiB"))?;
+    write_bytes(path, &container)
 }
 
-/// The reason why a mesh cannot be written with a material.
-fn obstacle(mesh: &Mesh, material: Option<&GltfMaterial>) -> Option<&'static str> {
-    let count = mesh.positions.len();
-    let is_finite = |material: &GltfMaterial| {
-        let numbers = [material.roughness, material.specular, material.ior];
-        let colors = [material.base_color, material.specular_color];
-        numbers.iter().all(|x| x.is_finite()) && colors.iter().all(|color| color.is_finite())
-    };
-    let is_textured = |material: &GltfMaterial| {
-        let GltfMaterial { base_color_image, roughness_image, specular_image, normal_image, .. } = material;
-        [base_color_image, roughness_image, specular_image, normal_image].into_iter().any(Option::is_some)
-    };
-    let problems = [
-        (
-            mesh.normals.len() != count || mesh.uvs.as_ref().is_some_and(|uvs| uvs.len() != count),
-            "the mesh does not have as many normals and texture coordinates as positions",
-        ),
-        (mesh.triangles.is_empty(), "the mesh has no triangles"),
-        (
-            mesh.triangles.iter().flatten().any(|&vertex| vertex as usize >= count),
-            "a triangle refers to a vertex that does not exist",
-        ),
-        (
-            mesh.positions.iter().chain(&mesh.normals).any(|vector| !vector.is_finite())
-                || mesh.uvs.iter().flatten().any(|uv| !uv.is_finite()),
-            "a position, normal or texture coordinate is not finite",
-        ),
-        (mesh.uvs.is_none() && material.is_some_and(is_textured), "a texture needs texture coordinates"),
-        (material.is_some_and(|material| !is_finite(material)), "a material parameter is not finite"),
-    ];
-    problems.into_iter().find(|(is, _)| *is).map(|(_, problem)| problem)
+/// Checks that a mesh that is to be written has triangles, and that it and the values of its material are finite.
+///
+/// # Errors
+/// [`Error::Run`](lobelia_geometry::Error::Run).
+pub(crate) fn check_mesh(path: &Path, mesh: &Mesh, material: impl Iterator<Item = f32>) -> Result<()> {
+    if mesh.triangles.is_empty() {
+        return Err(not_written(path, "the mesh has no triangles"));
+    }
+    let vectors = mesh.positions.iter().chain(&mesh.normals).flat_map(Vec3::to_array);
+    let uvs = mesh.uvs.iter().flatten().flat_map(Vec2::to_array);
+    let what = "a position, normal, texture coordinate or value of the material is not finite";
+    check_finite(path, vectors.chain(uvs).chain(material), |_| what.to_owned())
 }
 
 /// The binary chunk and its buffer views and accessors, under construction.
@@ -138,11 +115,10 @@ fn primitive(binary: &mut Binary, mesh: &Mesh, with_tangents: bool) -> Value {
         attributes["TANGENT"] = json!(binary.add_floats(tangents.iter().map(|t| t.to_array()), false));
     }
     let indices = mesh.triangles.iter().flatten().flat_map(|i| i.to_le_bytes());
-    let view = binary.add_view(indices, Some(ELEMENT_ARRAY_BUFFER));
-    let count = 3 * mesh.triangles.len();
-    binary
-        .accessors
-        .push(json!({"bufferView": view, "componentType": UNSIGNED_INT, "count": count, "type": "SCALAR"}));
+    let (view, count) = (binary.add_view(indices, Some(ELEMENT_ARRAY_BUFFER)), 3 * mesh.triangles.len());
+    let indices =
+        json!({"bufferView": view, "componentType": UNSIGNED_INT, "count": count, "type": "SCALAR"});
+    binary.accessors.push(indices);
     json!({"attributes": attributes, "indices": binary.accessors.len() - 1, "mode": 4})
 }
 
@@ -215,16 +191,14 @@ fn container(text: &str, binary: &[u8]) -> Option<Vec<u8>> {
 mod tests {
     use super::*;
     use crate::codec::gltf::import::{MeshReport, read_mesh_with_report};
-    use crate::codec::image::encode_png;
-    use glam::Vec3;
+    use crate::codec::{image::encode_png, test_data::temporary};
     use gltf_json::validation::Validate;
     use image::ExtendedColorType;
-    use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
+    use lobelia_geometry::{Error, mesh::primitive::box_mesh, mesh::primitive::sphere_mesh};
 
     #[test]
     fn a_written_mesh_comes_back_bit_for_bit() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mesh.glb");
+        let (folder, path) = temporary("mesh.glb");
         for mesh in [
             sphere_mesh(Vec3::new(0.1, -0.7, 1e-3), 0.777).unwrap(),
             box_mesh(Vec3::splat(-0.3), Vec3::new(1.0 / 3.0, 2e-5, 7.0)).unwrap(),
@@ -240,8 +214,7 @@ mod tests {
 
     #[test]
     fn the_document_is_valid_and_has_the_material() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mesh.glb");
+        let (_folder, path) = temporary("mesh.glb");
         let png = encode_png(&[10, 200, 30].repeat(6), [3, 2], ExtendedColorType::Rgb8).unwrap();
         let material = GltfMaterial {
             base_color: Vec3::new(0.1, 0.2, 0.3),
@@ -280,23 +253,12 @@ mod tests {
 
     #[test]
     fn what_cannot_be_written_is_refused_and_leaves_nothing() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mesh.glb");
+        let (folder, path) = temporary("mesh.glb");
         let good = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
-        let textured = GltfMaterial { base_color_image: Some(vec![0]), ..GltfMaterial::default() };
-        let mut out_of_range = good.clone();
-        out_of_range.triangles[0][0] = 1000;
         let mut not_finite = good.clone();
         not_finite.positions[3].y = f32::NAN;
-        let no_normals = Mesh { normals: Vec::new(), ..good.clone() };
-        let no_uvs = Mesh { uvs: None, ..good.clone() };
-        for (mesh, material) in [
-            (&Mesh::default(), None),
-            (&out_of_range, None),
-            (&not_finite, None),
-            (&no_normals, None),
-            (&no_uvs, Some(&textured)),
-        ] {
+        let infinite = GltfMaterial { ior: f32::INFINITY, ..GltfMaterial::default() };
+        for (mesh, material) in [(&Mesh::default(), None), (&not_finite, None), (&good, Some(&infinite))] {
             assert!(matches!(write_glb(&path, mesh, material), Err(Error::Run { .. })));
         }
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);

@@ -6,13 +6,9 @@ pub mod export;
 pub mod import;
 pub mod material;
 
-use crate::codec::file::read_bytes;
-use crate::codec::nearby::missing_file_help;
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
-use gltf_json::accessor::{ComponentType, Type};
-use gltf_json::validation::Checked;
-use gltf_json::{self as json, Index, Root};
+use crate::codec::{file::read_bytes, nearby::missing_file_help};
+use base64::{Engine as _, engine::general_purpose::STANDARD};
+use gltf_json::{self as json, Index, Root, accessor::ComponentType, accessor::Type, validation::Checked};
 use lobelia_geometry::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -26,33 +22,14 @@ struct GltfFile {
     buffers: Vec<Vec<u8>>,
 }
 
-/// The elements of an accessor, `stride` bytes apart.
-struct Elements<'a> {
-    bytes: &'a [u8],
-    stride: usize,
-    count: usize,
-    component: ComponentType,
-    components: usize,
-    is_normalized: bool,
-}
-
-impl<'a> Elements<'a> {
-    fn iter(&self) -> impl Iterator<Item = &'a [u8]> {
-        let (bytes, stride, size) = (self.bytes, self.stride, self.component.size() * self.components);
-        (0..self.count).map(move |i| &bytes[i * stride..][..size])
-    }
-}
-
 impl GltfFile {
     /// Reads `path` and every buffer that it names.
     fn open(path: &Path) -> Result<Self> {
         let (root, blob) = document(path)?;
         let mut file = Self { path: path.to_owned(), root, buffers: Vec::new() };
-        let is_harmless = |name: &str| {
-            ["KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization"]
-                .iter()
-                .any(|prefix| name.starts_with(prefix))
-        };
+        let harmless =
+            ["KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_mesh_quantization"];
+        let is_harmless = |name: &String| harmless.iter().any(|prefix| name.starts_with(prefix));
         if let Some(name) = file.root.extensions_required.iter().find(|name| !is_harmless(name)) {
             let problem = format!("the file needs the extension {name}, which is not supported");
             let help = "export the mesh without compression and without required extensions";
@@ -145,31 +122,29 @@ impl GltfFile {
 
     /// The elements of accessor `index` as floats, `N` components each; integers are scaled if "normalized".
     fn floats<const N: usize>(&self, index: Index<json::Accessor>, place: &str) -> Result<Vec<[f32; N]>> {
-        let elements = self.elements(index, place)?;
-        let Elements { component, components, is_normalized, .. } = elements;
-        if components != N {
-            let problem = format!("has {components} components per element where {N} are needed");
-            return Err(self.error(format!("{place}, accessor {}", index.value()), problem));
-        }
-        let float =
-            |bytes: &[u8], k: usize| float_at(&bytes[k * component.size()..], component, is_normalized);
-        Ok(elements.iter().map(|bytes| std::array::from_fn(|k| float(bytes, k))).collect())
+        let (component, elements) = self.elements(index, N, place)?;
+        let is_normalized = self.root.accessors[index.value()].normalized;
+        let float = |raw: &[u8], k: usize| float_at(&raw[k * component.size()..], component, is_normalized);
+        Ok(elements.map(|bytes| std::array::from_fn(|k| float(bytes, k))).collect())
     }
 
     /// The elements of accessor `index` as vertex indices.
     fn indices(&self, index: Index<json::Accessor>, place: &str) -> Result<Vec<u32>> {
-        let elements = self.elements(index, place)?;
-        let component = elements.component;
-        let is_unsigned = matches!(component, ComponentType::U8 | ComponentType::U16 | ComponentType::U32);
-        if elements.components != 1 || !is_unsigned {
+        let (component, elements) = self.elements(index, 1, place)?;
+        if !matches!(component, ComponentType::U8 | ComponentType::U16 | ComponentType::U32) {
             let place = format!("{place}, accessor {}", index.value());
-            return Err(self.error(place, "vertex indices must be unsigned integer scalars"));
+            return Err(self.error(place, "vertex indices must be unsigned integers"));
         }
-        Ok(elements.iter().map(|bytes| unsigned_at(bytes, component)).collect())
+        Ok(elements.map(|bytes| unsigned_at(bytes, component)).collect())
     }
 
-    /// The elements of accessor `index`, all within its buffer view.
-    fn elements(&self, index: Index<json::Accessor>, place: &str) -> Result<Elements<'_>> {
+    /// The type of the components of accessor `index`, and the bytes of its elements of `wanted` components each, all within its buffer view.
+    fn elements(
+        &self,
+        index: Index<json::Accessor>,
+        wanted: usize,
+        place: &str,
+    ) -> Result<(ComponentType, impl Iterator<Item = &[u8]>)> {
         let accessor = self.item(&self.root.accessors, index, "accessor", place)?;
         let place = format!("{place}, accessor {}", index.value());
         let components = match accessor.type_ {
@@ -179,6 +154,10 @@ impl GltfFile {
             Checked::Valid(Type::Vec4) => 4,
             _ => return Err(self.error(place, "has a type that vertex data cannot have")),
         };
+        if components != wanted {
+            let problem = format!("has {components} components per element where {wanted} are needed");
+            return Err(self.error(place, problem));
+        }
         let Checked::Valid(component) = accessor.component_type else {
             return Err(self.error(place, "has an unknown component type"));
         };
@@ -199,8 +178,7 @@ impl GltfFile {
             let problem = format!("is out of range: needs {needed} bytes from {offset} of {}", view.len());
             self.error(place, problem)
         })?;
-        let (count, is_normalized) = (count as usize, accessor.normalized);
-        Ok(Elements { bytes, stride, count, component: component.0, components, is_normalized })
+        Ok((component.0, (0..count as usize).map(move |i| &bytes[i * stride..][..size])))
     }
 }
 
@@ -210,9 +188,8 @@ pub fn side_files(path: &Path) -> Vec<PathBuf> {
     let Ok((root, _)) = document(path) else { return Vec::new() };
     let buffers = root.buffers.iter().map(|buffer| buffer.uri.as_ref());
     let images = root.images.iter().map(|image| image.uri.as_ref());
-    let uris =
-        buffers.chain(images).flatten().filter(|uri| !uri.starts_with("data:") && !uri.contains("://"));
-    uris.filter_map(|uri| file_of(path, uri)).collect()
+    let is_file = |uri: &&String| !uri.starts_with("data:") && !uri.contains("://");
+    buffers.chain(images).flatten().filter(is_file).filter_map(|uri| file_of(path, uri)).collect()
 }
 
 /// The file that a URI in the glTF file at `path` names; `None` if it is not UTF-8.
@@ -234,9 +211,7 @@ fn document(path: &Path) -> Result<(Root, Option<Vec<u8>>)> {
     let (mut text, mut blob) = (bytes.as_slice(), None);
     if bytes.starts_with(b"glTF") {
         match (word(4), word(8)) {
-            (Some(version), _) if version != 2 => {
-                return Err(wrong(format!("is binary glTF version {version}, not 2")));
-            }
+            (Some(v), _) if v != 2 => return Err(wrong(format!("is binary glTF version {v}, not 2"))),
             (_, Some(length)) if length as usize <= bytes.len() => {}
             _ => return Err(wrong(format!("is truncated: it ends after {} bytes", bytes.len()))),
         }
@@ -248,9 +223,7 @@ fn document(path: &Path) -> Result<(Root, Option<Vec<u8>>)> {
 }
 
 fn checked_slice(bytes: &[u8], start: u64, length: u64) -> Option<&[u8]> {
-    let start = usize::try_from(start).ok()?;
-    let end = start.checked_add(usize::try_from(length).ok()?)?;
-    bytes.get(start..end)
+    bytes.get(usize::try_from(start).ok()?..)?.get(..usize::try_from(length).ok()?)
 }
 
 fn percent_decoded(uri: &str) -> Option<String> {
@@ -290,13 +263,6 @@ fn float_at(bytes: &[u8], component: ComponentType, normalized: bool) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn percent_sequences() {
-        assert_eq!(percent_decoded("a%20b%2Fc").as_deref(), Some("a b/c"));
-        assert_eq!(percent_decoded("50%").as_deref(), Some("50%"));
-        assert_eq!(percent_decoded("%ff"), None);
-    }
 
     #[test]
     fn normalized_integers() {

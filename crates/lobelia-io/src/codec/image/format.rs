@@ -38,8 +38,7 @@ const FOREIGN_EXTENSIONS: [&str; 16] = [
 
 /// True for a file that is named as an image of a format that is not read.
 pub fn is_unread_name(path: &Path) -> bool {
-    let is_one = |name: &str| RAW_EXTENSIONS.contains(&name) || FOREIGN_EXTENSIONS.contains(&name);
-    extension(path).is_some_and(|name| is_one(&name))
+    has_extension(path, &RAW_EXTENSIONS) || has_extension(path, &FOREIGN_EXTENSIONS)
 }
 
 /// First bytes of cameras' RAW files that are no TIFF, and of those that say so within TIFF.
@@ -106,8 +105,9 @@ fn starts(bytes: &[u8], at: usize, with: &[u8]) -> bool {
     bytes.get(at..).is_some_and(|rest| rest.starts_with(with))
 }
 
-fn extension(path: &Path) -> Option<String> {
-    Some(path.extension()?.to_str()?.to_ascii_lowercase())
+/// Whether a path has one of these extensions, in any case.
+pub(crate) fn has_extension(path: &Path, known: &[&str]) -> bool {
+    path.extension().is_some_and(|own| known.iter().any(|known| own.eq_ignore_ascii_case(known)))
 }
 
 impl Format {
@@ -130,14 +130,12 @@ impl Format {
 /// [`Error::Input`] with what to do if the file is in another format, or a camera's RAW file.
 pub(super) fn recognize(path: &Path, start: &[u8]) -> Result<Format> {
     let format = STARTS.iter().find(|(at, magic, _)| starts(start, *at, magic)).map(|&(.., format)| format);
-    let is_named_raw = extension(path).is_some_and(|name| RAW_EXTENSIONS.contains(&name.as_str()));
-    if is_raw(start) || (is_named_raw && matches!(format, None | Some(Format::Tiff))) {
+    let may_be_raw = matches!(format, None | Some(Format::Tiff)) && has_extension(path, &RAW_EXTENSIONS);
+    if is_raw(start) || may_be_raw {
         return Err(raw(path));
     }
     format.ok_or_else(|| match FOREIGN.iter().find(|(at, magic, ..)| starts(start, *at, magic)) {
-        Some((_, _, name, help)) => {
-            Error::input(path, "", format!("this is {name}, which is not read"), *help)
-        }
+        Some((.., name, help)) => Error::input(path, "", format!("this is {name}, which is not read"), *help),
         None => {
             let problem = "the contents are neither PNG, JPEG, TIFF, WebP, OpenEXR nor Radiance HDR";
             Error::input(path, "", problem, format!("Copy it again. {MAGICK}"))
@@ -197,17 +195,10 @@ impl ImageHeader {
         self.channels.is_multiple_of(2)
     }
 
-    /// True if turning the pixels upright swaps width and height.
-    pub fn is_turned(&self) -> bool {
-        self.exif >= 5
-    }
-
     /// Width and height in pixels with this treatment of the EXIF orientation.
     pub fn size(&self, orientation: Orientation) -> [u32; 2] {
-        match orientation {
-            Orientation::Upright if self.is_turned() => [self.height, self.width],
-            _ => [self.width, self.height],
-        }
+        let is_turned = orientation == Orientation::Upright && self.exif >= 5;
+        if is_turned { [self.height, self.width] } else { [self.width, self.height] }
     }
 
     /// Bytes of the decoded samples.
@@ -246,21 +237,15 @@ pub(super) fn check_size(path: &Path, header: &ImageHeader, file_bytes: u64) -> 
     if pixels == 0 {
         return Err(damaged(path, format, &format!("its size is {width}×{height}")));
     }
-    if pixels > MOST_PIXELS {
-        let problem = format!(
-            "its header declares {width}×{height} pixels, more than {LONGEST_SIDE}×{LONGEST_SIDE}, the most that is read"
-        );
-        let help = "Reduce its size, e.g. with `magick FILE -resize 50% FILE`. If it is not that large, copy it again.";
-        return Err(Error::input(path, "", problem, help));
-    }
     // A JPEG is read as a whole, the others piece by piece.
     let held = if format == Format::Jpeg { decoded.max(file_bytes) } else { decoded };
-    if held > MAX_DECODED_BYTES as u64 {
-        let [file, decoded, most] = [file_bytes, decoded, MAX_DECODED_BYTES as u64].map(|bytes| bytes >> 20);
+    if pixels > MOST_PIXELS || held > MAX_DECODED_BYTES as u64 {
+        let [held, most] = [held, MAX_DECODED_BYTES as u64].map(|bytes| bytes >> 20);
         let problem = format!(
-            "{width}×{height} pixels in {file} MiB, {decoded} MiB when decoded, more than the {most} MiB that are read"
+            "its header declares {width}×{height} pixels in {held} MiB, more than {LONGEST_SIDE}×{LONGEST_SIDE} in {most} MiB, the most that is read"
         );
-        return Err(Error::input(path, "", problem, "Reduce its size, or save it with 8 or 16 bits."));
+        let help = "Reduce its size, e.g. with `magick FILE -resize 50% FILE`, or save it with 8 or 16 bits. If it is not that large, copy it again.";
+        return Err(Error::input(path, "", problem, help));
     }
     // The most that any of these saves: LZW, of eight pixels in a byte. WebP needs no more for a single color, and the header of an EXR
     // is checked with its channels.

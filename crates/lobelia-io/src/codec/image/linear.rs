@@ -1,11 +1,10 @@
 //! Decoded samples as linear radiance, with the repair of float pixels that are NaN, infinite, absurdly bright or negative, and as masks: the coverage
 //! of each pixel, from gray values, labels or alpha.
 
-use crate::codec::image::format::{Format, ImageSamples, Orientation};
+use crate::codec::image::format::{Format, ImageHeader, ImageSamples, Orientation};
 use crate::codec::image::{Decoded, decode_samples};
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::view::{Image, Mask};
+use lobelia_geometry::{Error, Result, view::Image, view::Mask};
 use lobelia_sg::color::{linear_from_srgb, luminance};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -77,29 +76,17 @@ pub struct LoadedImage {
 /// `gamma`.
 pub fn read_image(path: impl AsRef<Path>, gamma: Gamma, orientation: Orientation) -> Result<LoadedImage> {
     gamma.check()?;
-    let path = path.as_ref();
-    let mut decoded = decode_samples(path, orientation)?;
-    let repairs = decoded.repair();
-    repairs.check(path, &decoded)?;
+    let (decoded, repairs) = repaired(path.as_ref(), orientation)?;
     Ok(linear_image(&decoded, repairs, gamma))
 }
 
 /// The samples of a photograph, repaired as [`read_image`] does; negative colors are set to 0.
 ///
 /// # Errors
-/// As for [`read_image`] for its file; also if most pixels that are not black are negative.
+/// As for [`read_image`] for its file.
 pub fn decode_photograph(path: impl AsRef<Path>, orientation: Orientation) -> Result<(Decoded, Repairs)> {
-    let path = path.as_ref();
-    let mut decoded = decode_samples(path, orientation)?;
-    let repairs = decoded.repair();
-    repairs.check(path, &decoded)?;
-    let Repairs { negative, lit, .. } = repairs;
-    if 2 * negative > lit {
-        let problem = format!("{negative} of {lit} pixels that are not black are negative");
-        let help = "Light is never negative: is this an image of normals or differences? Render or convert it again.";
-        return Err(Error::input(path, "", problem, help));
-    }
-    if let (ImageSamples::Floats(samples), true) = (&mut decoded.samples, negative > 0) {
+    let (mut decoded, repairs) = repaired(path.as_ref(), orientation)?;
+    if let (ImageSamples::Floats(samples), true) = (&mut decoded.samples, repairs.negative > 0) {
         samples.iter_mut().for_each(|sample| *sample = sample.max(0.0));
     }
     Ok((decoded, repairs))
@@ -107,7 +94,7 @@ pub fn decode_photograph(path: impl AsRef<Path>, orientation: Orientation) -> Re
 
 /// Samples as linear light.
 pub fn linear_image(decoded: &Decoded, repairs: Repairs, gamma: Gamma) -> LoadedImage {
-    let Decoded { header, width, height, .. } = *decoded;
+    let header @ ImageHeader { width, height, .. } = decoded.header;
     let count = width as usize * height as usize;
     let mut loaded = LoadedImage {
         image: Image { width, height, pixels: Vec::with_capacity(count) },
@@ -171,65 +158,41 @@ pub struct Repairs {
     pub too_bright: usize,
     /// Number of pixels with a negative color that is neither.
     pub negative: usize,
-    /// Number of pixels with a color other than black, before the repair.
-    pub lit: usize,
     /// Indices of the pixels that were set to 0, in ascending order.
     pub pixels: Vec<u32>,
 }
 
-impl Decoded {
-    /// Sets pixels of a float image to 0 that are NaN, infinite or absurdly bright, and clamps alpha to `[0, 1]`. A pixel whose
-    /// color is not finite is still covered. Integers have nothing to repair.
-    fn repair(&mut self) -> Repairs {
-        let channels = self.channels();
-        let colors = if channels < 3 { 1 } else { 3 };
-        let mut repairs = Repairs::default();
-        let ImageSamples::Floats(samples) = &mut self.samples else { return repairs };
-        for (i, pixel) in samples.chunks_exact_mut(channels).enumerate() {
-            let (color, alpha) = pixel.split_at_mut(colors);
-            repairs.lit += usize::from(color.iter().any(|&c| c != 0.0));
-            let is_finite = color.iter().chain(&*alpha).all(|sample| sample.is_finite());
-            let is_bright = color.iter().any(|c| c.abs() > BRIGHTEST);
-            if !is_finite || is_bright {
-                *(if is_finite { &mut repairs.too_bright } else { &mut repairs.not_finite }) += 1;
-                repairs.pixels.push(i as u32);
-                color.fill(0.0);
-            }
-            repairs.negative += usize::from(color.iter().any(|&c| c < 0.0));
-            for a in alpha {
-                *a = if a.is_finite() { a.clamp(0.0, 1.0) } else { 0.0 };
-            }
+/// Reads the samples of an image, and sets pixels of floats to 0 that are NaN, infinite or absurdly bright; clamps alpha to `[0, 1]`. A pixel
+/// whose color is not finite is still covered. Integers have nothing to repair.
+fn repaired(path: &Path, orientation: Orientation) -> Result<(Decoded, Repairs)> {
+    let mut decoded = decode_samples(path, orientation)?;
+    let (channels, mut repairs) = (decoded.header.channels, Repairs::default());
+    let ImageSamples::Floats(samples) = &mut decoded.samples else { return Ok((decoded, repairs)) };
+    for (i, pixel) in samples.chunks_exact_mut(channels).enumerate() {
+        let (color, alpha) = pixel.split_at_mut(if channels < 3 { 1 } else { 3 });
+        let is_finite = color.iter().chain(&*alpha).all(|sample| sample.is_finite());
+        let is_bright = color.iter().any(|c| c.abs() > BRIGHTEST);
+        if !is_finite || is_bright {
+            *(if is_finite { &mut repairs.too_bright } else { &mut repairs.not_finite }) += 1;
+            repairs.pixels.push(i as u32);
+            color.fill(0.0);
         }
-        repairs
+        repairs.negative += usize::from(color.iter().any(|&c| c < 0.0));
+        for a in alpha {
+            *a = if a.is_finite() { a.clamp(0.0, 1.0) } else { 0.0 };
+        }
     }
-}
-
-impl Repairs {
-    /// Checks that anything is left of an image.
-    fn check(&self, path: &Path, decoded: &Decoded) -> Result<()> {
-        let pixels = decoded.width as usize * decoded.height as usize;
-        if self.not_finite == pixels {
-            let problem = "every pixel is NaN or infinite";
-            return Err(Error::input(path, "", problem, "Render or convert the image again."));
-        }
-        if self.too_bright as f64 > MOST_TOO_BRIGHT * pixels as f64 {
-            let problem =
-                format!("{} of {pixels} pixels are absurdly bright (above {BRIGHTEST})", self.too_bright);
-            let help = "Divide the values so that white is about 1, in all images by the same number, or replace this one.";
-            return Err(Error::input(path, "", problem, help));
-        }
-        Ok(())
+    let (pixels, too_bright) = (samples.len() / channels, repairs.too_bright);
+    if repairs.not_finite == pixels {
+        let problem = "every pixel is NaN or infinite";
+        return Err(Error::input(path, "", problem, "Render or convert the image again."));
     }
-}
-
-/// A mask as read from its file.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LoadedMask {
-    /// Coverage of each pixel.
-    pub mask: Mask,
-    /// The stored value, as a share of the highest storable one, that means full coverage: 1, or less in masks stored as 0 and 1
-    /// or 0 and 127 of 255, or in a dark color, whose coverage is scaled.
-    pub full: f32,
+    if too_bright as f64 > MOST_TOO_BRIGHT * pixels as f64 {
+        let problem = format!("{too_bright} of {pixels} pixels are absurdly bright (above {BRIGHTEST})");
+        let help = "Divide the values so that white is about 1, in all images by the same number, or replace this one.";
+        return Err(Error::input(path, "", problem, help));
+    }
+    Ok((decoded, repairs))
 }
 
 /// The greatest gray value that is taken for the number of a label, not for coverage.
@@ -238,27 +201,35 @@ const GREATEST_LABEL: u32 = 31;
 const MOST_LABELS: usize = 16;
 
 /// Reads a mask: the stored luma (not linearized) divided by the highest storable value. If all that is covered is of one lower
-/// value (1 or 127 of 255, or one color), that value is full coverage: see [`LoadedMask::full`]. A palette's colors count, not
+/// value (1 or 127 of 255, or one color), that value is full coverage, and others are scaled. A palette's colors count, not
 /// its indices. Alpha is the mask if it varies while the colors do not, or if the colors are those of a cut-out photograph. In
 /// float formats the mask is alpha, if any, else luminance, clamped to `[0, 1]`.
 ///
 /// # Errors
 /// [`Error::Input`] if the file is missing, not an image that is read, too large or damaged, if a float mask has NaN or infinite values, or
 /// if the mask has labels of several objects.
-pub fn read_mask(path: impl AsRef<Path>, orientation: Orientation) -> Result<LoadedMask> {
+pub fn read_mask(path: impl AsRef<Path>, orientation: Orientation) -> Result<Mask> {
     let path = path.as_ref();
     let decoded = decode_samples(path, orientation)?;
-    let (width, height, channels) = (decoded.width, decoded.height, decoded.channels());
+    let ImageHeader { format, width, height, channels, .. } = decoded.header;
     // Compression changes the values of a JPEG a little: they say neither labels nor that one value is full.
-    let is_exact = decoded.header.format != Format::Jpeg;
-    let coverage = match &decoded.samples {
+    let is_exact = format != Format::Jpeg;
+    let mut coverage = match &decoded.samples {
         ImageSamples::Bytes8(samples) => of_integers(path, samples, channels, 255, is_exact)?,
         ImageSamples::Words16(samples) => of_integers(path, samples, channels, 65_535, is_exact)?,
         ImageSamples::Floats(samples) => of_floats(path, samples, channels, width)?,
     };
     drop(decoded.samples);
-    let (coverage, full) = scaled_to_full(coverage, is_exact);
-    Ok(LoadedMask { mask: Mask { width, height, coverage }, full })
+    let greatest = coverage.iter().copied().fold(0.0, f32::max);
+    let covered = coverage.iter().filter(|&&c| c > 0.0).count();
+    let near = coverage.iter().filter(|&&c| c >= 0.9 * greatest).count();
+    // Noise of a black JPEG is no object.
+    let is_noise = !is_exact && greatest < 0.2;
+    // Nearly all covered pixels are of one lower value.
+    if covered > 0 && greatest < 1.0 && !is_noise && 2 * near >= covered {
+        coverage.iter_mut().for_each(|c| *c = (*c / greatest).min(1.0));
+    }
+    Ok(Mask { width, height, coverage })
 }
 
 fn of_floats(path: &Path, samples: &[f32], channels: usize, width: u32) -> Result<Vec<f32>> {
@@ -323,24 +294,9 @@ fn is_colorful(colors: &[[u32; 3]]) -> bool {
     colors.iter().any(|[r, g, b]| r != g || g != b)
 }
 
-/// True if all are shades of one color, as at the soft edges of an object that is painted in it.
-fn are_shades(colors: &[[u32; 3]]) -> bool {
-    let sum = |color: &[u32; 3]| color.iter().map(|&channel| u64::from(channel)).sum::<u64>();
-    let Some(brightest) = colors.iter().max_by_key(|color| sum(color)) else { return false };
-    let full = sum(brightest);
-    // Rounded to whole values.
-    let is_shade = |color: &[u32; 3]| {
-        (0..3).all(|c| {
-            let (own, scaled) = (u64::from(color[c]) * full, u64::from(brightest[c]) * sum(color));
-            own.abs_diff(scaled) <= 2 * full
-        })
-    };
-    is_colorful(colors) && colors.iter().all(is_shade)
-}
-
 /// Refuses a few colors or low values, which are labels of several objects: they say nothing of which one is meant.
 fn check_labels(path: &Path, colors: &[[u32; 3]]) -> Result<()> {
-    if !(2..=MOST_LABELS).contains(&colors.len()) || are_shades(colors) {
+    if !(2..=MOST_LABELS).contains(&colors.len()) {
         return Ok(());
     }
     let greatest = colors.iter().map(|color| color[0]).max().unwrap_or(0);
@@ -353,19 +309,6 @@ fn check_labels(path: &Path, colors: &[[u32; 3]]) -> Result<()> {
     };
     let help = "Write a mask that is white where the object is, black elsewhere.";
     Err(Error::input(path, "", format!("the mask has {what}: labels of several objects?"), help))
-}
-
-/// Coverage scaled so that the one value of which nearly all covered pixels are is 1, and that value.
-fn scaled_to_full(coverage: Vec<f32>, is_exact: bool) -> (Vec<f32>, f32) {
-    let greatest = coverage.iter().copied().fold(0.0, f32::max);
-    let covered = coverage.iter().filter(|&&c| c > 0.0).count();
-    let near = coverage.iter().filter(|&&c| c >= 0.9 * greatest).count();
-    // Noise of a black JPEG is no object.
-    let is_noise = !is_exact && greatest < 0.2;
-    if covered == 0 || greatest >= 1.0 || is_noise || 2 * near < covered {
-        return (coverage, 1.0);
-    }
-    (coverage.into_iter().map(|c| (c / greatest).min(1.0)).collect(), greatest)
 }
 
 /// Rec. 709 luma; exactly the value itself for grays.

@@ -11,22 +11,21 @@ mod format;
 mod linear;
 mod tiff_file;
 
+pub(crate) use format::has_extension;
 pub use format::{Format, IMAGE_EXTENSIONS, ImageHeader, ImageSamples, Orientation};
 pub use format::{is_unread_name, is_video_start};
-pub use linear::{BRIGHTEST, Gamma, LoadedImage, LoadedMask, Repairs};
+pub use linear::{BRIGHTEST, Gamma, LoadedImage, Repairs};
 pub use linear::{decode_photograph, linear_image, read_image, read_mask};
 
-use crate::codec::exr::{ExrHeader, decode_exr_picture, exr_header};
 use crate::codec::file::{DiskFile, first_bytes, open};
-use crate::codec::nearby::missing_file_help;
+use crate::codec::{exr::decode_exr_picture, exr::exr_header, nearby::missing_file_help};
 use format::{check_size, damaged, recognize};
-use image::codecs::hdr::HdrDecoder;
-use image::codecs::jpeg::{JpegDecoder, JpegEncoder};
-use image::codecs::png::{PngDecoder, PngEncoder};
-use image::codecs::webp::WebPDecoder;
-use image::metadata::Orientation as ExifOrientation;
-use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, Limits, RgbImage};
-use lobelia_geometry::error::{Error, Result};
+use image::{
+    DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, Limits, RgbImage,
+    codecs::hdr::HdrDecoder, codecs::jpeg::JpegDecoder, codecs::jpeg::JpegEncoder, codecs::png::PngDecoder,
+    codecs::png::PngEncoder, codecs::webp::WebPDecoder, metadata::Orientation as ExifOrientation,
+};
+use lobelia_geometry::{Error, Result};
 use std::io::{BufRead, BufReader, Cursor, Read as _, Seek};
 use std::path::Path;
 
@@ -75,41 +74,16 @@ const JPEG_HEADER_BYTES: [usize; 2] = [1 << 18, 1 << 24];
 /// An image whose samples are as the file has them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decoded {
-    /// The header; its size is as stored.
+    /// The header; its size is that after turning, if the pixels are turned, and its orientation that which is left.
     pub header: ImageHeader,
-    /// Width in pixels, after turning.
-    pub width: u32,
-    /// Height in pixels, after turning.
-    pub height: u32,
-    /// `width * height` times `header.channels` samples.
+    /// `width * height` times `channels` samples.
     pub samples: ImageSamples,
 }
 
-impl Decoded {
-    /// Samples per pixel: 1 (gray), 2 (gray and alpha), 3 (RGB) or 4 (RGB and alpha).
-    pub fn channels(&self) -> usize {
-        self.header.channels
-    }
-
-    /// Turned as EXIF asks.
-    fn upright(self) -> Self {
-        let (size, channels, exif) = ([self.width, self.height], self.channels(), self.header.exif);
-        let samples = match self.samples {
-            ImageSamples::Bytes8(samples) => ImageSamples::Bytes8(turned(samples, size, channels, exif)),
-            ImageSamples::Words16(samples) => ImageSamples::Words16(turned(samples, size, channels, exif)),
-            ImageSamples::Floats(samples) => ImageSamples::Floats(turned(samples, size, channels, exif)),
-        };
-        let [width, height] = if self.header.is_turned() { [size[1], size[0]] } else { size };
-        Self { header: self.header, width, height, samples }
-    }
-}
-
-/// Samples of an image of `width` × `height` pixels with `channels` samples each, turned by an EXIF orientation (1 to 8).
-fn turned<T: Copy>(samples: Vec<T>, [width, height]: [u32; 2], channels: usize, exif: u8) -> Vec<T> {
-    if !(2..=8).contains(&exif) {
-        return samples;
-    }
-    let (w, h) = (width as usize, height as usize);
+/// The samples of an image with this header, turned by its EXIF orientation.
+fn turned<T: Copy>(samples: Vec<T>, header: &ImageHeader) -> Vec<T> {
+    let ImageHeader { exif, channels, .. } = *header;
+    let (w, h) = (header.width as usize, header.height as usize);
     let (columns, rows) = if exif >= 5 { (h, w) } else { (w, h) };
     let mut out = Vec::with_capacity(samples.len());
     for v in 0..rows {
@@ -135,7 +109,7 @@ pub fn image_header(path: impl AsRef<Path>) -> Result<ImageHeader> {
 
 /// [`image_header`] of a file at its beginning.
 fn read_header(path: &Path, file: &mut BufReader<DiskFile>) -> Result<ImageHeader> {
-    let file_bytes = file.get_ref().metadata().map_err(Error::io("read", path))?.len();
+    let file_bytes = file.get_ref().file.metadata().map_err(Error::io("read", path))?.len();
     let format = recognize(path, &first_bytes(path, file, RECOGNIZED_BY)?)?;
     let header = match format {
         Format::Jpeg => {
@@ -147,10 +121,7 @@ fn read_header(path: &Path, file: &mut BufReader<DiskFile>) -> Result<ImageHeade
             read(usual).or_else(|_| read(most))?
         }
         Format::Tiff => tiff_file::header(path, file)?,
-        Format::Exr => {
-            let ExrHeader { width, height, channels, bits } = exr_header(path, file)?;
-            ImageHeader { format, width, height, channels, bits, is_float: true, exif: 1 }
-        }
+        Format::Exr => exr_header(path, file)?,
         Format::Png | Format::Webp | Format::Hdr => header_of(format, decoder(path, format, file)?),
     };
     check_size(path, &header, file_bytes)?;
@@ -170,14 +141,7 @@ fn decoder<'a>(
             limits.max_alloc = Some(MOST_CHUNK_BYTES);
             Box::new(PngDecoder::with_limits(source, limits).map_err(wrong)?)
         }
-        Format::Webp => {
-            let decoder = WebPDecoder::new(source).map_err(wrong)?;
-            if decoder.has_animation() {
-                let help = "Take a frame with `webpmux -get frame 1 FILE -o FRAME`.";
-                return Err(Error::input(path, "", "this WebP is an animation", help));
-            }
-            Box::new(decoder)
-        }
+        Format::Webp => Box::new(WebPDecoder::new(source).map_err(wrong)?),
         Format::Hdr => Box::new(HdrDecoder::new_nonstrict(source).map_err(wrong)?),
         _ => Box::new(JpegDecoder::new(source).map_err(wrong)?),
     })
@@ -231,32 +195,36 @@ pub fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -> Resul
     file.rewind().map_err(Error::io("read", path))?;
     let samples = match header.format {
         Format::Tiff => tiff_file::decode(path, file, &header)?,
-        Format::Exr => ImageSamples::Floats(decode_exr_picture(path, file)?.1),
+        Format::Exr => ImageSamples::Floats(decode_exr_picture(path, file)?),
         Format::Jpeg => {
             let bytes = Cursor::new(whole_jpeg(path, file)?);
             samples_of(path, &header, decoder(path, header.format, bytes)?)?
         }
         format => samples_of(path, &header, decoder(path, format, file)?)?,
     };
-    let decoded = Decoded { header, width: header.width, height: header.height, samples };
-    Ok(match orientation {
-        Orientation::AsStored => decoded,
-        Orientation::Upright => decoded.upright(),
-    })
+    if orientation == Orientation::AsStored || !(2..=8).contains(&header.exif) {
+        return Ok(Decoded { header, samples });
+    }
+    let samples = match samples {
+        ImageSamples::Bytes8(samples) => ImageSamples::Bytes8(turned(samples, &header)),
+        ImageSamples::Words16(samples) => ImageSamples::Words16(turned(samples, &header)),
+        ImageSamples::Floats(samples) => ImageSamples::Floats(turned(samples, &header)),
+    };
+    let [width, height] = header.size(orientation);
+    Ok(Decoded { header: ImageHeader { width, height, exif: 1, ..header }, samples })
 }
 
 /// The samples of a decoder's image, if they are those of its header.
 fn samples_of(path: &Path, header: &ImageHeader, decoder: impl ImageDecoder) -> Result<ImageSamples> {
     let wrong = |why: &str| damaged(path, header.format, why);
     let samples = match DynamicImage::from_decoder(decoder).map_err(|error| wrong(&error.to_string()))? {
-        DynamicImage::ImageLuma8(image) => ImageSamples::Bytes8(image.into_raw()),
-        DynamicImage::ImageLumaA8(image) => ImageSamples::Bytes8(image.into_raw()),
-        DynamicImage::ImageRgb8(image) => ImageSamples::Bytes8(image.into_raw()),
-        DynamicImage::ImageRgba8(image) => ImageSamples::Bytes8(image.into_raw()),
         DynamicImage::ImageLuma16(image) => ImageSamples::Words16(image.into_raw()),
         DynamicImage::ImageLumaA16(image) => ImageSamples::Words16(image.into_raw()),
         DynamicImage::ImageRgb16(image) => ImageSamples::Words16(image.into_raw()),
         DynamicImage::ImageRgb32F(image) => ImageSamples::Floats(image.into_raw()),
+        image if image.color().bytes_per_pixel() == image.color().channel_count() => {
+            ImageSamples::Bytes8(image.into_bytes())
+        }
         other => ImageSamples::Words16(other.into_rgba16().into_raw()),
     };
     if samples.count() as u64 != u64::from(header.width) * u64::from(header.height) * header.channels as u64 {

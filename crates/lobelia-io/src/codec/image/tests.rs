@@ -4,8 +4,7 @@ use super::*;
 use crate::codec::test_data::{exr_bytes, write_exr};
 use glam::Vec3;
 use image::{GrayImage, ImageBuffer, ImageFormat, Luma, Rgb, Rgba, RgbaImage};
-use std::fs;
-use std::path::PathBuf;
+use std::{fs, path::PathBuf};
 use tempfile::TempDir;
 use tiff::encoder::colortype::{Gray8, Gray16, Gray32Float, RGB8, RGB16, RGB32Float, RGBA8};
 use tiff::encoder::{Compression, DeflateLevel, TiffEncoder};
@@ -101,7 +100,10 @@ fn cut_files_give_an_error_or_the_whole_picture() {
     let tiff = tiff_bytes(deflate, |encoder| encoder.write_image::<Gray8>(4, 2, &[9; 8]).unwrap());
     let jpeg = encode_jpeg(&image, 75).unwrap();
     let png = encode_png(image.as_raw(), [24, 24], ExtendedColorType::Rgb8).unwrap();
-    for (name, bytes) in [("a.jpg", &jpeg[..]), ("a.png", &png), ("a.tif", &tiff), ("a.webp", &LOSSY_WEBP)] {
+    let exr = exr_bytes(4, 40, &["R", "G", "B"].map(|name| (name, vec![0.25; 160])));
+    for (name, bytes) in
+        [("a.jpg", &jpeg[..]), ("a.png", &png), ("a.tif", &tiff), ("a.webp", &LOSSY_WEBP), ("a.exr", &exr)]
+    {
         fs::write(at(name), bytes).unwrap();
         let whole = read(at(name)).unwrap();
         for length in (1..bytes.len() - 4).step_by(if bytes.len() > 200 { 3 } else { 1 }) {
@@ -215,9 +217,9 @@ fn pictures_that_declare_more_than_is_read_or_than_they_hold_are_refused() {
     };
     for (bytes, words) in [
         (hdr, "900000×900000"),
-        (tiff(26_000), "26000×26000 pixels, more than 16384×16384"),
+        (tiff(26_000), "26000×26000 pixels in 644 MiB, more than 16384×16384"),
         (tiff(16_000), "bytes can hold"),
-        (jpeg(20_000), "20000×20000 pixels, more than"),
+        (jpeg(20_000), "20000×20000 pixels in"),
         (jpeg(12_000), "bytes can hold"),
         (jpeg(0), "damaged"),
     ] {
@@ -257,22 +259,15 @@ fn absurdly_bright_pixels_are_set_to_zero_and_counted_or_refused() {
 }
 
 #[test]
-fn negative_pixels_are_set_to_zero_in_photographs_and_refused_if_most_are() {
+fn negative_pixels_are_set_to_zero_in_photographs() {
     let (_dir, at) = folder();
-    let write = |values: Vec<f32>| {
-        let count = values.len();
-        write_exr(&at("a.exr"), count, 1, &[("Y", values)]);
-    };
-    write(vec![0.5, -0.01, 0.0, 0.25]);
+    write_exr(&at("a.exr"), 4, 1, &[("Y", vec![0.5, -0.01, 0.0, 0.25])]);
     let loaded = photograph(&at("a.exr")).unwrap();
     assert_eq!((loaded.repairs.negative, loaded.repairs.pixels.len()), (1, 0));
     assert_eq!(loaded.image.pixels.iter().map(|p| p.x).collect::<Vec<_>>(), [0.5, 0.0, 0.0, 0.25]);
     // Normals are read by the same code.
     let kept = read(at("a.exr")).unwrap();
     assert_eq!((kept.image.pixels[1].x, kept.repairs.negative), (-0.01, 1));
-    write(vec![-0.5, -0.01, 0.0, 0.25]);
-    let problem = problem_of(photograph(&at("a.exr")));
-    assert!(problem.contains("2 of 3 pixels that are not black are negative"), "{problem}");
 }
 
 /// 4×2 pixels of green by a lossy encoder.
@@ -392,7 +387,10 @@ fn webps_are_read_and_turned() {
     let rgb = [1, 2, 3, 4, 5, 6];
     write(&rgb, ExtendedColorType::Rgb8, 6);
     let turned = decode_samples(at("a.webp"), Orientation::Upright).unwrap();
-    assert_eq!(([turned.width, turned.height], turned.samples), ([1, 2], ImageSamples::Bytes8(rgb.to_vec())));
+    assert_eq!(
+        ([turned.header.width, turned.header.height], turned.samples),
+        ([1, 2], ImageSamples::Bytes8(rgb.to_vec()))
+    );
 }
 
 /// Gray values of 3×2 pixels as stored; EXIF says where row 0 and column 0 are seen.
@@ -433,10 +431,10 @@ fn every_orientation_is_turned_upright_or_left_as_stored() {
             {
                 assert_eq!(header.size(orientation), size, "{name}, {turn}");
                 let decoded = decode_samples(at(name), orientation).unwrap();
-                assert_eq!([decoded.width, decoded.height], size, "{name}, {turn}");
+                assert_eq!([decoded.header.width, decoded.header.height], size, "{name}, {turn}");
                 assert_eq!(decoded.samples, ImageSamples::Bytes8(pixels.to_vec()), "{name}, {turn}");
             }
-            let mask = read_mask(at(name), Orientation::Upright).unwrap().mask;
+            let mask = read_mask(at(name), Orientation::Upright).unwrap();
             assert_eq!([mask.width, mask.height], size);
         }
     }
@@ -464,7 +462,7 @@ fn headers_of_jpegs_are_read_past_other_segments() {
 #[test]
 fn masks_are_luma_or_alpha() {
     let (_dir, at) = folder();
-    let mask = |name: &str| read_mask(at(name), Orientation::Upright).map(|loaded| loaded.mask.coverage);
+    let mask = |name: &str| read_mask(at(name), Orientation::Upright).map(|mask| mask.coverage);
     GrayImage::from_raw(3, 1, vec![0, 51, 255]).unwrap().save(at("gray.png")).unwrap();
     assert_eq!(mask("gray.png").unwrap(), [0.0, 0.2, 1.0]);
     for (pixels, expected) in [
@@ -481,28 +479,26 @@ fn masks_are_luma_or_alpha() {
     assert!(problem_of(mask("m.exr")).contains("pixel (1, 0)"));
 }
 
-fn gray(at: &impl Fn(&str) -> PathBuf, values: &[u8]) -> LoadedMask {
+fn gray(at: &impl Fn(&str) -> PathBuf, values: &[u8]) -> Vec<f32> {
     let path = at("mask.png");
     GrayImage::from_raw(values.len() as u32, 1, values.to_vec()).unwrap().save(&path).unwrap();
-    read_mask(path, Orientation::Upright).unwrap()
+    read_mask(path, Orientation::Upright).unwrap().coverage
 }
 
 #[test]
 fn one_low_value_is_full_coverage() {
     let (_dir, at) = folder();
     for low in [1, 127, 254] {
-        let loaded = gray(&at, &[0, low, low, 0]);
-        assert_eq!((loaded.mask.coverage, loaded.full), (vec![0.0, 1.0, 1.0, 0.0], f32::from(low) / 255.0));
+        assert_eq!(gray(&at, &[0, low, low, 0]), [0.0, 1.0, 1.0, 0.0]);
     }
     // Edges between 0 and 127.
-    let loaded = gray(&at, &[0, 64, 127, 127, 126, 32]);
-    assert_eq!(loaded.mask.coverage[2..4], [1.0, 1.0]);
-    assert!((loaded.mask.coverage[1] - 64.0 / 127.0).abs() < 1e-6);
-    assert_eq!(gray(&at, &[0, 200, 255, 0]).full, 1.0);
+    let edged = gray(&at, &[0, 64, 127, 127, 126, 32]);
+    assert_eq!(edged[2..4], [1.0, 1.0]);
+    assert!((edged[1] - 64.0 / 127.0).abs() < 1e-6);
+    assert_eq!(gray(&at, &[0, 204, 255, 0]), [0.0, 0.8, 1.0, 0.0]);
     // Soft coverage that has no one value is what it is.
-    let soft = gray(&at, &[40, 80, 120, 160, 200, 120, 80, 40]);
-    assert_eq!((soft.full, soft.mask.coverage[4]), (1.0, 200.0 / 255.0));
-    assert_eq!(gray(&at, &[0, 0]).mask.coverage, [0.0, 0.0]);
+    assert_eq!(gray(&at, &[40, 80, 120, 160, 200, 120, 80, 40])[4], 200.0 / 255.0);
+    assert_eq!(gray(&at, &[0, 0]), [0.0, 0.0]);
 }
 
 /// A row of palette indices.
@@ -521,26 +517,14 @@ fn one_color_of_a_palette_is_full_coverage_and_several_are_refused() {
     let (_dir, at) = folder();
     let (black, red, green) = ([0, 0, 0], [128, 0, 0], [0, 128, 0]);
     palette(&at("p.png"), &[black, red, green], &[0, 1, 1, 0]);
-    let loaded = read_mask(at("p.png"), Orientation::Upright).unwrap();
-    assert_eq!(loaded.mask.coverage, [0.0, 1.0, 1.0, 0.0]);
-    assert!(loaded.full < 0.2);
+    let coverage = || read_mask(at("p.png"), Orientation::Upright).unwrap().coverage;
+    assert_eq!(coverage(), [0.0, 1.0, 1.0, 0.0]);
     // Colors count, not indices.
     palette(&at("p.png"), &[[255; 3], black], &[0, 1, 1, 0]);
-    let loaded = read_mask(at("p.png"), Orientation::Upright).unwrap();
-    assert_eq!((loaded.mask.coverage, loaded.full), (vec![1.0, 0.0, 0.0, 1.0], 1.0));
+    assert_eq!(coverage(), [1.0, 0.0, 0.0, 1.0]);
     palette(&at("p.png"), &[black, red, green], &[0, 1, 2, 0]);
     let problem = problem_of(read_mask(at("p.png"), Orientation::Upright));
     assert!(problem.contains("2 colors") && problem.contains("white where the object is"), "{problem}");
-}
-
-#[test]
-fn soft_edges_of_one_color_are_coverage() {
-    let (_dir, at) = folder();
-    let colors = [[0, 0, 0], [200, 40, 10], [100, 20, 5], [51, 10, 3]];
-    palette(&at("p.png"), &colors, &[0, 1, 1, 1, 1, 2, 3]);
-    let coverage = read_mask(at("p.png"), Orientation::Upright).unwrap().mask.coverage;
-    let expected = [0.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.25];
-    assert!(coverage.iter().zip(expected).all(|(found, truth)| (found - truth).abs() < 0.02), "{coverage:?}");
 }
 
 #[test]
@@ -555,8 +539,8 @@ fn gray_labels_are_refused() {
 fn noise_of_a_black_jpeg_is_no_object() {
     let (_dir, at) = folder();
     GrayImage::from_fn(16, 16, |x, _| Luma([u8::from(x > 7) * 3])).save(at("m.jpg")).unwrap();
-    let loaded = read_mask(at("m.jpg"), Orientation::Upright).unwrap();
-    assert!(loaded.full == 1.0 && loaded.mask.coverage.iter().all(|&c| c < 0.03), "{loaded:?}");
+    let mask = read_mask(at("m.jpg"), Orientation::Upright).unwrap();
+    assert!(mask.coverage.iter().all(|&c| c < 0.03), "{mask:?}");
 }
 
 #[test]
@@ -566,16 +550,6 @@ fn the_alpha_of_a_cut_out_photograph_is_the_mask() {
         if x < 4 { Rgba([30 * x as u8, 9 * y as u8, 200, 255]) } else { Rgba([0; 4]) }
     });
     cut.save(at("m.png")).unwrap();
-    let coverage = read_mask(at("m.png"), Orientation::Upright).unwrap().mask.coverage;
+    let coverage = read_mask(at("m.png"), Orientation::Upright).unwrap().coverage;
     assert!(coverage.iter().enumerate().all(|(i, &c)| c == if i % 8 < 4 { 1.0 } else { 0.0 }));
-}
-
-#[test]
-fn what_is_encoded_in_memory_is_decoded_again() {
-    let picture = RgbImage::from_pixel(6, 4, Rgb([200, 40, 10]));
-    let png = encode_png(picture.as_raw(), [6, 4], ExtendedColorType::Rgb8).unwrap();
-    assert_eq!(decode(&png).unwrap().to_rgb8(), picture);
-    let jpeg = decode(&encode_jpeg(&picture, 90).unwrap()).unwrap().to_rgb8();
-    assert!(jpeg.as_raw().iter().zip(picture.as_raw()).all(|(a, b)| a.abs_diff(*b) < 6));
-    assert!(encode_jpeg(&RgbImage::new(0, 4), 90).is_err() && decode(b"no picture").is_err());
 }

@@ -2,13 +2,11 @@
 
 use crate::codec::exr::MAX_DECODED_BYTES;
 use crate::codec::image::format::{Format, ImageHeader, ImageSamples, damaged, raw};
-use lobelia_geometry::error::{Error, Result};
-use std::io::{Read, Seek};
-use std::path::Path;
-use tiff::ColorType;
-use tiff::TiffError;
+use lobelia_geometry::{Error, Result};
+use std::{io::Read, io::Seek, path::Path};
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::{ExtraSamples, SampleFormat, Tag};
+use tiff::{ColorType, TiffError};
 
 /// Version of DNG, in its files alone.
 const DNG_VERSION: Tag = Tag::Unknown(50_706);
@@ -81,24 +79,33 @@ pub(super) fn decode(path: &Path, source: impl Read + Seek, header: &ImageHeader
     if read.planes > 1 {
         return Err(unsupported(path, "its channels lie in planes of their own"));
     }
-    let samples = match result {
+    let mut samples = match result {
         DecodingResult::U8(packed) if bits < 8 => ImageSamples::Bytes8(unpacked(&packed, width, bits)),
         DecodingResult::U8(samples) => ImageSamples::Bytes8(samples),
         DecodingResult::U16(samples) => ImageSamples::Words16(samples),
         DecodingResult::F32(samples) => ImageSamples::Floats(samples),
-        DecodingResult::F16(samples) => {
-            ImageSamples::Floats(samples.into_iter().map(|sample| sample.to_f32()).collect())
+        DecodingResult::F16(halves) => {
+            ImageSamples::Floats(halves.iter().map(|half| half.to_f32()).collect())
         }
-        DecodingResult::F64(samples) => {
-            ImageSamples::Floats(samples.into_iter().map(|sample| sample as f32).collect())
-        }
+        DecodingResult::F64(wide) => ImageSamples::Floats(wide.iter().map(|float| *float as f32).collect()),
         _ => return Err(unsupported(path, "its samples are signed or wider than 16 bits")),
     };
     if samples.count() != width as usize * height as usize * channels {
         return Err(damaged(path, Format::Tiff, "it has fewer samples than its header declares"));
     }
-    let is_usual = !header.has_alpha() || is_premultiplied == is_float;
-    Ok(if is_usual { samples } else { with_usual_alpha(samples, channels) })
+    if header.has_alpha() && is_premultiplied != is_float {
+        match &mut samples {
+            ImageSamples::Bytes8(samples) => make_straight(samples, channels, 255),
+            ImageSamples::Words16(samples) => make_straight(samples, channels, 65_535),
+            ImageSamples::Floats(samples) => {
+                for pixel in samples.chunks_exact_mut(channels) {
+                    let alpha = pixel[channels - 1];
+                    pixel[..channels - 1].iter_mut().for_each(|color| *color *= alpha);
+                }
+            }
+        }
+    }
+    Ok(samples)
 }
 
 /// Gray samples of 1, 2 or 4 bits, whose rows begin at whole bytes, as bytes.
@@ -113,31 +120,13 @@ fn unpacked(packed: &[u8], width: u32, bits: u8) -> Vec<u8> {
     rows.flat_map(|row| (0..width).map(move |x| sample(row, x))).collect()
 }
 
-/// Integers with alpha multiplied in, without; floats without, with.
-fn with_usual_alpha(samples: ImageSamples, channels: usize) -> ImageSamples {
-    fn straight<T: Copy + Into<u32> + TryFrom<u32>>(
-        mut samples: Vec<T>,
-        channels: usize,
-        top: u32,
-    ) -> Vec<T> {
-        for pixel in samples.chunks_exact_mut(channels) {
-            let alpha: u32 = pixel[channels - 1].into();
-            for color in &mut pixel[..channels - 1] {
-                let value = ((*color).into() * top + alpha / 2).checked_div(alpha).unwrap_or(0).min(top);
-                *color = T::try_from(value).unwrap_or(*color);
-            }
-        }
-        samples
-    }
-    match samples {
-        ImageSamples::Bytes8(samples) => ImageSamples::Bytes8(straight(samples, channels, 255)),
-        ImageSamples::Words16(samples) => ImageSamples::Words16(straight(samples, channels, 65_535)),
-        ImageSamples::Floats(mut samples) => {
-            for pixel in samples.chunks_exact_mut(channels) {
-                let alpha = pixel[channels - 1];
-                pixel[..channels - 1].iter_mut().for_each(|color| *color *= alpha);
-            }
-            ImageSamples::Floats(samples)
+/// Takes alpha out of integers that it is multiplied into.
+fn make_straight<T: Copy + Into<u32> + TryFrom<u32>>(samples: &mut [T], channels: usize, top: u32) {
+    for pixel in samples.chunks_exact_mut(channels) {
+        let alpha: u32 = pixel[channels - 1].into();
+        for color in &mut pixel[..channels - 1] {
+            let value = ((*color).into() * top + alpha / 2).checked_div(alpha).unwrap_or(0).min(top);
+            *color = T::try_from(value).unwrap_or(*color);
         }
     }
 }

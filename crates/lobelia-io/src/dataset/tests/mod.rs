@@ -11,8 +11,7 @@ use crate::codec::test_data::write_exr;
 use image::{GrayImage, Luma, Rgb, RgbImage, RgbaImage};
 use lobelia_geometry::view::Mask;
 use serde_json::{Value, json};
-use std::fs;
-use std::path::PathBuf;
+use std::{fs, path::PathBuf};
 use tempfile::TempDir;
 
 /// A name with an accent in two forms: as most files of cameras have it, and as file systems of macOS do.

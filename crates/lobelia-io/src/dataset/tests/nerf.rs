@@ -4,19 +4,6 @@
 use super::*;
 
 #[test]
-fn one_file_is_divided_by_hold_out() {
-    let names_of: Vec<String> = (0..11).map(|i| format!("./images/f_{i}.png")).collect();
-    let set = transforms_of(&names_of.iter().map(String::as_str).collect::<Vec<_>>());
-    let (train, test) = (set.split(Split::Train), set.split(Split::Test));
-    assert_eq!((test.layout, names(&test)), (Layout::Nerf, vec!["f_0", "f_8"]));
-    assert_eq!((train.views.len(), names(&train)[8]), (9, "f_10"), "in natural order");
-    let camera = train.views[0].camera;
-    assert_eq!((camera.focal, camera.center), ([8.0, 9.0], [3.0, 2.0]));
-    assert!(set.has_test(8) && !set.has_test(0));
-    assert!(train.notes.is_empty(), "{:?}", train.notes);
-}
-
-#[test]
 fn lists_divide_the_views() {
     let set =
         transforms_of(&["images/0.png", "images/1.png", "images/2.png", "images/3.png", "images/4.png"]);
@@ -150,6 +137,21 @@ fn distortion_is_undone_by_every_model() {
         (json!({"is_fisheye": true, "k1": 0.05}), fisheye),
     ] {
         assert_eq!(width(fields.clone()), expected, "{fields}");
+    }
+}
+
+#[test]
+fn what_a_pinhole_cannot_show_is_cropped_with_a_note() {
+    let set = wide();
+    set.put(TRANSFORMS, "/is_fisheye", json!(true));
+    for (focal, is_cropped) in [(40, false), (22, true)] {
+        ["/fl_x", "/fl_y"].iter().for_each(|field| set.put(TRANSFORMS, field, json!(focal)));
+        let notes = set.all().notes.join(" ");
+        assert_eq!(
+            notes.contains("1 photographs show more than a pinhole camera can"),
+            is_cropped,
+            "{notes}"
+        );
     }
 }
 
@@ -292,8 +294,6 @@ fn moved_images_are_kept_apart() {
     let images = ["/home/me/images/left/0.png", "/home/me/images/right/0.png"];
     let set = transforms(&["images/left/0.png", "images/right/0.png"], &images).all();
     assert_eq!(names(&set), ["left_0", "right_0"]);
-    let text = transforms(&["images/0.png"], &images).error();
-    assert_says(&text, &["transforms.json, frame 1", "there is only the one of frame 0", "into the folders"]);
 }
 
 #[test]
