@@ -11,10 +11,8 @@
 use crate::pipeline::pool::PoolIndex;
 use bevy_ecs::prelude::{Component, Entity, EntityRef, Mut, Resource, With, World};
 use bevy_ecs::query::QueryFilter;
-use lobelia_geometry::error::stop::stopped_by;
-use lobelia_geometry::error::{Error, Result};
-use serde::Serialize;
-use serde::de::DeserializeOwned;
+use lobelia_geometry::{Error, Result, error::stop::stopped_by};
+use serde::{Serialize, de::DeserializeOwned};
 use std::any::type_name;
 use std::time::{Duration, Instant};
 

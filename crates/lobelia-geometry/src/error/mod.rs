@@ -7,11 +7,9 @@
 pub mod stop;
 
 use lobelia_sg::map_fit::MapFitError;
-use std::fmt;
 use std::io::ErrorKind::{QuotaExceeded, StorageFull};
-use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::{fmt, ops::Range, sync::Arc};
 
 /// Result of the fallible functions of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;

@@ -12,15 +12,12 @@ use crate::mesh::triangles::Mesh;
 use crate::mesh::wide_bvh::{
     BoxCorners, BoxRay, BoxRays, Each, Leaf, LeafVisitor, ROUNDING, WIDTH, WideBvh, inverse,
 };
-use fearless_simd::prelude::*;
-use fearless_simd::{Level, Simd, dispatch, f32x8, f32x16};
+use fearless_simd::{Level, Simd, dispatch, f32x8, f32x16, prelude::*};
 use glam::{Vec3, Vec3A};
 use lobelia_sg::ray::Ray;
-use obvhs::BvhBuildParams;
-use obvhs::aabb::Aabb;
-use obvhs::bvh2::Bvh2;
-use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
-use obvhs::ploc::PlocBuilder;
+use obvhs::{
+    BvhBuildParams, aabb::Aabb, bvh2::Bvh2, bvh2::reinsertion::ReinsertionOptimizer, ploc::PlocBuilder,
+};
 
 /// Most rays of a packet.
 pub(super) const PACKET: usize = 16;

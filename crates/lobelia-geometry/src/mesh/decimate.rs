@@ -6,8 +6,7 @@
 
 use crate::mesh::triangles::{Mesh, Side, sorted_sides};
 use glam::{DMat3, DVec3};
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::{cmp::Reverse, collections::BinaryHeap};
 
 /// Weight of the distance to the old vertices, relative to that of the old planes: it determines the position in a plane or along an edge,
 /// and is negligible elsewhere.
@@ -250,9 +249,8 @@ impl Collapser {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::nearest::chamfer_distance;
     use crate::mesh::primitive::{box_mesh, sphere_mesh};
-    use crate::mesh::tests::is_closed;
+    use crate::{mesh::nearest::chamfer_distance, mesh::tests::is_closed};
     use glam::Vec3;
 
     /// Checks that the mesh is closed; returns the Euler characteristic.

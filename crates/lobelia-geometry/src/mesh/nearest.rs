@@ -3,10 +3,8 @@
 use crate::mesh::bvh::{TriangleHit, binary_hierarchy, bounding_sphere, leaf_boxes};
 use crate::mesh::triangles::Mesh;
 use glam::{Vec3, Vec3A};
-use obvhs::aabb::Aabb;
-use obvhs::bvh2::Bvh2;
-use rand::rngs::SmallRng;
-use rand::{RngExt, SeedableRng};
+use obvhs::{aabb::Aabb, bvh2::Bvh2};
+use rand::{RngExt, SeedableRng, rngs::SmallRng};
 use rayon::prelude::*;
 
 /// A hierarchy over the triangles of a mesh, for nearest-point queries.
@@ -135,8 +133,7 @@ fn spread_points(mesh: &Mesh, count: usize, seed: u64) -> Option<Vec<Vec3>> {
 mod tests {
     use super::*;
     use crate::mesh::primitive::{box_mesh, sphere_mesh};
-    use rand::rngs::SmallRng;
-    use rand::{RngExt, SeedableRng};
+    use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
     fn random_point(rng: &mut SmallRng) -> Vec3 {
         Vec3::from_array(std::array::from_fn(|_| rng.random_range(-2.0..2.0)))

@@ -1,7 +1,6 @@
 //! Meshes of simple solids, with normals and texture coordinates that do not overlap.
 
-use crate::mesh::triangles::Mesh;
-use crate::{Error, Result};
+use crate::{Error, Result, mesh::triangles::Mesh};
 use glam::{Vec2, Vec3};
 
 /// Rows of a sphere from pole to pole; the surface is within 3e-4 of the radius.

@@ -4,8 +4,7 @@
 //! The frame of a point is (t, b, n): n the interpolated normal, t the interpolated tangent toward growing u, b = w (n × t), which points
 //! toward falling v, the top of the picture. A normal map holds normals in that frame, whose z is along n.
 
-use crate::mesh::atlas::TexelAtlas;
-use crate::mesh::triangles::Mesh;
+use crate::{mesh::atlas::TexelAtlas, mesh::triangles::Mesh};
 use bevy_mikktspace::{Geometry, TangentSpace, generate_tangents};
 use glam::{Mat3, Vec2, Vec3, Vec4};
 

@@ -2,10 +2,8 @@
 
 use super::*;
 use primitive::{box_mesh, sphere_mesh};
-use rand::rngs::StdRng;
-use rand::{RngExt, SeedableRng};
-use std::collections::HashMap;
-use std::f32::consts::TAU;
+use rand::{RngExt, SeedableRng, rngs::StdRng};
+use std::{collections::HashMap, f32::consts::TAU};
 
 fn unit_vector(rng: &mut StdRng) -> Vec3 {
     let z = rng.random_range(-1.0f32..1.0);

@@ -3,8 +3,7 @@
 //!
 //! Source: Wald, Benthin and Boulos, "Getting Rid of Packets" (2008): wide nodes by opening the largest children of a binary hierarchy.
 
-use fearless_simd::prelude::*;
-use fearless_simd::{Simd, f32x8};
+use fearless_simd::{Simd, f32x8, prelude::*};
 use glam::Vec3A;
 use obvhs::bvh2::Bvh2;
 

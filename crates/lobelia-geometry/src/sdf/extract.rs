@@ -8,8 +8,7 @@
 
 use crate::mesh::triangles::{DisjointSets, Mesh, Side, sorted_sides};
 use crate::sdf::SdfGrid;
-use fast_surface_nets::ndshape::RuntimeShape;
-use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
+use fast_surface_nets::{SurfaceNetsBuffer, ndshape::RuntimeShape, surface_nets};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;

@@ -1,10 +1,9 @@
 //! The pinhole camera: rays, projection, and construction of cameras by position or orbit.
 
-use crate::error::{Error, Result};
+use crate::{Error, Result};
 use bevy_ecs::prelude::Component;
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
-use lobelia_sg::fibonacci::fibonacci_axes;
-use lobelia_sg::ray::Ray;
+use lobelia_sg::{fibonacci::fibonacci_axes, ray::Ray};
 use serde::{Deserialize, Serialize};
 
 /// A pinhole camera.

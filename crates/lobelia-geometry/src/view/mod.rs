@@ -22,8 +22,7 @@ use glam::Vec3;
 use half::f16;
 use lobelia_sg::statistics::median;
 use serde::{Deserialize, Serialize};
-use std::ops::Range;
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 /// Name of a view; output files have this name.
 #[derive(Component, Clone, Debug, PartialEq, Eq)]

@@ -1,8 +1,8 @@
 //! Photographs and masks as they are kept: in the bytes of their files where those are 8-bit, as half floats where these hold the values,
 //! and only inside a window, since most photographs are mostly background.
 
-use crate::error::{Error, Result};
 use crate::view::{Image, Mask, PixelWindow};
+use crate::{Error, Result};
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
 use half::f16;

@@ -19,9 +19,8 @@ use bevy_ecs::prelude::{
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::{ScheduleSystem, SystemParam};
 use glam::{Mat3, Quat};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_sg::ray::Illuminate;
-use lobelia_sg::shading::LobeColumns;
+use lobelia_geometry::{Error, Result};
+use lobelia_sg::{ray::Illuminate, shading::LobeColumns};
 use std::sync::Arc;
 
 /// Name of a light other than the scene's own.

@@ -12,7 +12,7 @@ use super::{
 };
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::{Error, Result};
 use std::sync::Arc;
 
 /// The name of a group of edits; those of a pass of a scene file have the name of the pass.

@@ -7,7 +7,7 @@ use super::{
 use crate::pipeline::SystemResult;
 use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::{Changed, Component, Entity, Local, Query, Res, ResMut, Resource, With};
-use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::{Error, Result};
 use std::marker::PhantomData;
 
 /// A component that holds a value `T` of a material: the value itself, or [`Shown`] of it.

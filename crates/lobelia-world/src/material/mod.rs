@@ -23,7 +23,7 @@ pub mod tilt;
 use crate::pipeline::pool::{Pool, pool_index, read_column, write_column};
 use bevy_ecs::prelude::{Component, Entity, With, World};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
+use lobelia_geometry::Result;
 use lobelia_sg::brdf::{Facets, Ndf};
 use serde::{Deserialize, Serialize};
 

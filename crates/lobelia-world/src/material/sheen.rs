@@ -13,7 +13,7 @@ use super::{DiffuseAlbedo, DiffuseSheen, TexelIndex};
 use crate::pipeline::pool::write_column;
 use bevy_ecs::prelude::{Resource, World};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
+use lobelia_geometry::Result;
 use lobelia_sg::ray::TexelAddress;
 
 /// The mean of 1 − c over the hemisphere, weighted by c.

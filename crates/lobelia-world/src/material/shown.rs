@@ -16,18 +16,15 @@ use super::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, Shown, SpecularBlend, SpecularLobe, TexelIndex,
     Texels, spawn_texels,
 };
-use crate::pipeline::SystemResult;
-use crate::pipeline::pool::read_column;
-use bevy_ecs::change_detection::DetectChangesMut;
-use bevy_ecs::component::Mutable;
+use crate::{pipeline::SystemResult, pipeline::pool::read_column};
 use bevy_ecs::prelude::{
     Changed, Commands, Component, Entity, IntoScheduleConfigs, Local, Or, Query, SystemCondition, With,
     Without, World,
 };
-use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::{ScheduleSystem, SystemParam};
+use bevy_ecs::{change_detection::DetectChangesMut, component::Mutable, schedule::ScheduleConfigs};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
+use lobelia_geometry::Result;
 
 /// Shown components of a texel's material.
 type ShownTexel = (

@@ -21,10 +21,8 @@ use bevy_ecs::schedule::{
     InternedScheduleLabel, InternedSystemSet, ScheduleCleanupPolicy, ScheduleLabel, SingleThreadedExecutor,
 };
 use bevy_ecs::system::ScheduleSystem;
-use lobelia_geometry::error::{Error, Result};
-use std::any::TypeId;
-use std::cell::RefCell;
-use std::collections::HashSet;
+use lobelia_geometry::{Error, Result};
+use std::{any::TypeId, cell::RefCell, collections::HashSet};
 
 /// The stages of a phase, in the order they run.
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]

@@ -6,12 +6,10 @@
 //! additional component or another order moves entities to other rows or tables, columns are copied in and out in the order of
 //! the indices. The results are the same, but this is slower.
 
-use bevy_ecs::change_detection::ContiguousMut;
-use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::{Component, Entity, Query, World};
-use bevy_ecs::query::ContiguousQueryData;
 use bevy_ecs::system::{SystemParam, SystemState};
-use lobelia_geometry::error::{Error, Result};
+use bevy_ecs::{change_detection::ContiguousMut, component::Mutable, query::ContiguousQueryData};
+use lobelia_geometry::{Error, Result};
 use std::ops::{Deref, DerefMut, Range};
 use std::sync::Arc;
 

@@ -10,22 +10,18 @@
 pub mod pixel;
 pub mod point;
 
-use crate::light::LightLobe;
-use crate::light::lights::IncidentLight;
-use crate::light::placement::PlacedFrame;
 use crate::material::{DiffuseAlbedo, SpecularLobe, TexelIndex, spawn_materials};
 use crate::pipeline::pool::{Columns, Pool, despawn_rows, pool_index};
+use crate::{light::LightLobe, light::lights::IncidentLight, light::placement::PlacedFrame};
 use bevy_ecs::prelude::{Bundle, Component, Entity, Query, Res, Resource, With, World};
 use bevy_ecs::system::SystemParam;
 use glam::{Mat3, Vec3};
-use lobelia_geometry::error::Result;
-use lobelia_geometry::mesh::Surface;
 use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
+use lobelia_geometry::{Result, mesh::Surface};
 use lobelia_sg::shading::{Layers, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint};
 use pixel::{ImageGradient, Observed, PixelOf, SampleIndex, ViewRay, Window};
 use point::{PointBlend, Scenery, SurfacePoint};
-use std::ops::Range;
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 /// The columns of a sample that is rendered.
 #[derive(Bundle, Clone, Copy, Default)]

@@ -12,11 +12,9 @@ mod unwrap;
 pub use fill::fill_uncovered;
 pub use unwrap::{UnwrappedMesh, unwrap_mesh};
 
-use crate::mesh::triangles::Mesh;
-use crate::view::raster::bilinear;
+use crate::{mesh::triangles::Mesh, view::raster::bilinear};
 use glam::{DVec2, DVec3, Vec2, Vec3};
-use lobelia_sg::ray::TexelAddress;
-use lobelia_sg::statistics::median;
+use lobelia_sg::{ray::TexelAddress, statistics::median};
 
 /// Distance from a triangle, in texels, within which texels are covered: a bilinear footprint is the square of half-width 1 around a
 /// texel center, whose corners are √2 away.

@@ -1,12 +1,9 @@
 //! Texture coordinates for meshes that have none, or unusable ones.
 
 use crate::mesh::atlas::chart::{Chart, charts};
-use crate::mesh::atlas::pack::pack;
 use crate::mesh::atlas::{texels_near, texture_corners};
-use crate::mesh::triangles::Mesh;
-use crate::{Error, Result};
-use glam::DVec2;
-use glam::Vec2;
+use crate::{Error, Result, mesh::atlas::pack::pack, mesh::triangles::Mesh};
+use glam::{DVec2, Vec2};
 use std::collections::HashMap;
 
 /// Largest fraction of the covered texels on which existing coordinates may overlap.

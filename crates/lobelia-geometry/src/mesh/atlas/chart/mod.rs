@@ -6,9 +6,8 @@
 mod flatten;
 mod segment;
 
-use crate::error::Result;
-use crate::error::stop::check_interrupted;
 use crate::mesh::triangles::{DisjointSets, Mesh, sorted_sides};
+use crate::{Result, error::stop::check_interrupted};
 use flatten::{Tolerance, flatten};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;

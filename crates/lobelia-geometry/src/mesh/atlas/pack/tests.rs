@@ -1,8 +1,7 @@
 use super::page::CellRun;
 use super::*;
-use crate::mesh::atlas::chart::charts;
 use crate::mesh::tests::{ball, plate, scattered, torus};
-use crate::mesh::triangles::Mesh;
+use crate::{mesh::atlas::chart::charts, mesh::triangles::Mesh};
 
 /// Where triangle corners lie in the texture, in texels, with the chart's number.
 fn corners(charts: &[Chart]) -> impl Iterator<Item = (usize, [DVec2; 3])> {
