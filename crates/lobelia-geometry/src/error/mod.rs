@@ -19,7 +19,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[non_exhaustive]
 pub enum Error {
     /// An input file is not usable: the file, the place in it, the problem and the remedy.
-    #[error("{}{}: {problem}", path.display(), place_suffix(place))]
+    #[error("{}{}{place}: {problem}", path.display(), if place.is_empty() { "" } else { ", " })]
     Input {
         /// The file or folder.
         path: PathBuf,
@@ -72,10 +72,6 @@ impl From<MapFitError> for Error {
             MapFitError::Stopped => Self::Interrupted,
         }
     }
-}
-
-fn place_suffix(place: &str) -> String {
-    if place.is_empty() { String::new() } else { format!(", {place}") }
 }
 
 impl Error {

@@ -35,52 +35,41 @@ pub struct TriangleBvh {
     radius: f32,
 }
 
-/// Two children per node; leaves are the indices of the boxes.
-pub(super) fn binary_hierarchy(boxes: &[Aabb]) -> Bvh2 {
+/// A hierarchy with two children per node, whose leaves are the triangles of a mesh; center of the box around these, and the greatest
+/// distance of a corner from it.
+///
+/// For boxes of equal size the builder pairs them one at a time, in quadratic time and depth. A different enlargement of each box by one
+/// to two times the slack, by a hash of its index, avoids these ties.
+pub(super) fn binary_hierarchy(mesh: &Mesh) -> (Bvh2, Vec3, f32) {
+    let (low, high) = mesh.bounds().unwrap_or_default();
+    let center = low.midpoint(high);
+    let used = mesh.triangles.iter().flatten().map(|&vertex| mesh.positions[vertex as usize]);
+    let radius = used.fold(0.0f32, |r, p| r.max(p.distance(center)));
+    let slack = BOX_SLACK * (radius + center.abs().max_element());
+    let enlarged = |index: usize| {
+        let [a, b, c] = mesh.corners(index).map(Vec3A::from);
+        let hash = (index as u32).wrapping_mul(0x9e37_79b9).rotate_left(15).wrapping_mul(0x85eb_ca6b) >> 8;
+        let slack = slack * (1.0 + hash as f32 / (1 << 24) as f32);
+        Aabb::new(a.min(b).min(c) - slack, a.max(b).max(c) + slack)
+    };
+    let boxes: Vec<Aabb> = (0..mesh.triangles.len()).map(enlarged).collect();
     let settings = BvhBuildParams::medium_build();
     let mut binary = PlocBuilder::with_capacity(boxes.len()).build(
         settings.ploc_search_distance,
-        boxes,
+        &boxes,
         (0..boxes.len() as u32).collect(),
         settings.sort_precision,
         settings.search_depth_threshold,
     );
     ReinsertionOptimizer::default().run(&mut binary, settings.reinsertion_batch_ratio, None);
-    binary
-}
-
-/// The box of a triangle, enlarged by one to two times `slack`.
-///
-/// For boxes of equal size the builder pairs them one at a time, in quadratic time and depth. A different enlargement of each box,
-/// by a hash of its index, avoids these ties.
-fn leaf_box(index: usize, corners: [Vec3; 3], slack: f32) -> Aabb {
-    let [a, b, c] = corners.map(Vec3A::from);
-    let hash = (index as u32).wrapping_mul(0x9e37_79b9).rotate_left(15).wrapping_mul(0x85eb_ca6b) >> 8;
-    let slack = slack * (1.0 + hash as f32 / (1 << 24) as f32);
-    Aabb::new(a.min(b).min(c) - slack, a.max(b).max(c) + slack)
-}
-
-/// The boxes of all triangles of a mesh within `radius` of `center`.
-pub(super) fn leaf_boxes(mesh: &Mesh, center: Vec3, radius: f32) -> Vec<Aabb> {
-    let slack = BOX_SLACK * (radius + center.abs().max_element());
-    (0..mesh.triangles.len()).map(|t| leaf_box(t, mesh.corners(t), slack)).collect()
-}
-
-/// Center of the box around the triangles, and the greatest distance of a corner from it.
-pub(super) fn bounding_sphere(mesh: &Mesh) -> (Vec3, f32) {
-    let (low, high) = mesh.bounds().unwrap_or_default();
-    let center = low.midpoint(high);
-    let used = mesh.triangles.iter().flatten().map(|&vertex| mesh.positions[vertex as usize]);
-    (center, used.fold(0.0f32, |r, p| r.max(p.distance(center))))
+    (binary, center, radius)
 }
 
 impl TriangleBvh {
     /// Builds the hierarchy; the same mesh gives the same hierarchy.
     pub fn new(mesh: &Mesh) -> Self {
-        let (center, radius) = bounding_sphere(mesh);
-        let binary = binary_hierarchy(&leaf_boxes(mesh, center, radius));
-        let hierarchy = WideBvh::new(&binary, &|t| mesh.corners(t).map(Vec3A::from));
-        Self { level: Level::new(), hierarchy, center, radius }
+        let (binary, center, radius) = binary_hierarchy(mesh);
+        Self { level: Level::new(), hierarchy: WideBvh::new(&binary, mesh), center, radius }
     }
 
     /// Center and radius of a sphere around all triangles, world units.
@@ -109,15 +98,26 @@ impl TriangleBvh {
         let mut found = [None; PACKET];
         // From far away each ray is moved to the object first.
         let is_near = self.center.distance(origin) <= FAR_AWAY * self.radius;
-        let (sides, alone) = sides_of(directions, is_near);
+        // The directions, as bits, by the signs of their components.
+        let mut sides = [0u32; 8];
+        for (i, &direction) in directions.iter().enumerate() {
+            if is_near && direction.is_finite() && direction != Vec3::ZERO {
+                sides[direction.signum().cmplt(Vec3::ZERO).bitmask() as usize] |= 1 << i;
+            } else {
+                found[i] = self.nearest(&Ray { origin, direction }, min_distance);
+            }
+        }
         for packet in sides.into_iter().filter(|bits| *bits != 0) {
             let mut rays = Packet::new(origin, directions, packet, min_distance);
-            let query = rays.boxes();
+            let of = |fold: fn(f32, f32) -> f32| {
+                rays.inverse.map(|each| each.into_iter().reduce(fold).unwrap_or(0.0))
+            };
+            let query = BoxPacket { origin: rays.origin, least: of(f32::min), most: of(f32::max) };
             dispatch!(self.level, simd => self.hierarchy.walk(simd, &query, f32::INFINITY, &mut rays));
-            rays.put(&mut found);
-        }
-        for i in (0..directions.len()).filter(|i| alone >> i & 1 == 1) {
-            found[i] = self.nearest(&Ray { origin, direction: directions[i] }, min_distance);
+            for (ray, number) in rays.rays.into_iter().zip(rays.numbers).take(rays.count) {
+                let beyond = |hit: TriangleHit| hit.distance.max(ray.low.next_up());
+                found[number] = ray.found.map(|hit| TriangleHit { distance: beyond(hit), ..hit });
+            }
         }
         found
     }
@@ -127,13 +127,9 @@ impl TriangleBvh {
         self.count(ray, min_distance, max_distance, 1) > 0
     }
 
-    /// How many triangles the ray crosses (a ray exactly through a shared edge crosses both triangles).
-    pub fn count_crossings(&self, ray: &Ray) -> usize {
-        self.count(ray, 0.0, f32::INFINITY, usize::MAX)
-    }
-
-    /// How many triangles are met at a distance in `(min_distance, max_distance)`; once they are `most`, no more are looked for.
-    fn count(&self, ray: &Ray, min_distance: f32, max_distance: f32, most: usize) -> usize {
+    /// How many triangles are met at a distance in `(min_distance, max_distance)`; once they are `most`, no more are looked for. A ray
+    /// exactly through a shared edge meets both triangles.
+    pub(super) fn count(&self, ray: &Ray, min_distance: f32, max_distance: f32, most: usize) -> usize {
         let Some((frame, query, skipped)) = self.prepare(ray) else { return 0 };
         let (low, high) = (min_distance - skipped, max_distance - skipped);
         let mut found = Count { frame: &frame, low, high, most, count: 0 };
@@ -318,20 +314,6 @@ impl LeafVisitor for Nearest {
     }
 }
 
-/// The directions, as bits, by the signs of their components; and those that are traced alone: those that are not finite, and all unless `together`.
-fn sides_of(directions: &[Vec3], together: bool) -> ([u32; 8], u32) {
-    assert!(directions.len() <= PACKET, "a packet has at most {PACKET} rays");
-    let (mut sides, mut alone) = ([0; 8], 0);
-    for (i, direction) in directions.iter().enumerate() {
-        if together && direction.is_finite() && *direction != Vec3::ZERO {
-            sides[direction.signum().cmplt(Vec3::ZERO).bitmask() as usize] |= 1 << i;
-        } else {
-            alone |= 1 << i;
-        }
-    }
-    (sides, alone)
-}
-
 /// Rays whose directions have the same signs.
 struct Packet {
     origin: [f32; 3],
@@ -365,21 +347,6 @@ impl Packet {
             numbers,
             count,
             entering: 0,
-        }
-    }
-
-    /// All of the rays, as boxes are tested against them.
-    fn boxes(&self) -> BoxPacket {
-        let of =
-            |fold: fn(f32, f32) -> f32| self.inverse.map(|each| each.into_iter().reduce(fold).unwrap_or(0.0));
-        BoxPacket { origin: self.origin, least: of(f32::min), most: of(f32::max) }
-    }
-
-    /// Writes what the rays have met to the places of their directions.
-    fn put(self, found: &mut [Option<TriangleHit>; PACKET]) {
-        for (ray, number) in self.rays.into_iter().zip(self.numbers).take(self.count) {
-            found[number] =
-                ray.found.map(|hit| TriangleHit { distance: hit.distance.max(ray.low.next_up()), ..hit });
         }
     }
 
@@ -485,7 +452,7 @@ mod tests {
         let bvh = TriangleBvh::new(&mesh_of((0..20_000).map(|_| same)));
         let ray = Ray { origin: Vec3::new(0.2, 0.2, 1.0), direction: Vec3::NEG_Z };
         assert!((bvh.nearest(&ray, 0.0).unwrap().distance - 1.0).abs() < 1e-6);
-        assert_eq!(bvh.count_crossings(&ray), 20_000);
+        assert_eq!(bvh.count(&ray, 0.0, f32::INFINITY, usize::MAX), 20_000);
     }
 
     #[test]

@@ -85,7 +85,7 @@ impl Surface {
         ];
         let odd = DIRECTIONS.into_iter().filter(|&direction| {
             let ray = Ray { origin: point, direction: Vec3::from(direction).normalize() };
-            self.bvh.count_crossings(&ray) % 2 == 1
+            self.bvh.count(&ray, 0.0, f32::INFINITY, usize::MAX) % 2 == 1
         });
         odd.count() >= 3
     }

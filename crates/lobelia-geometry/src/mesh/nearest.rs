@@ -1,6 +1,6 @@
 //! The point of a mesh that is nearest to a given point, exactly, and the Chamfer distance between two surfaces.
 
-use crate::mesh::bvh::{TriangleHit, binary_hierarchy, bounding_sphere, leaf_boxes};
+use crate::mesh::bvh::{TriangleHit, binary_hierarchy};
 use crate::mesh::triangles::Mesh;
 use glam::{Vec3, Vec3A};
 use obvhs::{aabb::Aabb, bvh2::Bvh2};
@@ -16,8 +16,7 @@ pub struct NearestTriangle {
 impl NearestTriangle {
     /// Builds the hierarchy; the same mesh gives the same one.
     pub fn new(mesh: &Mesh) -> Self {
-        let (center, radius) = bounding_sphere(mesh);
-        let bvh = binary_hierarchy(&leaf_boxes(mesh, center, radius));
+        let (bvh, ..) = binary_hierarchy(mesh);
         let corners = (0..mesh.triangles.len()).map(|t| mesh.corners(t).map(Vec3A::from)).collect();
         Self { bvh, corners }
     }

@@ -3,6 +3,7 @@
 //!
 //! Source: Wald, Benthin and Boulos, "Getting Rid of Packets" (2008): wide nodes by opening the largest children of a binary hierarchy.
 
+use crate::mesh::triangles::Mesh;
 use fearless_simd::{Simd, f32x8, prelude::*};
 use glam::Vec3A;
 use obvhs::bvh2::Bvh2;
@@ -165,14 +166,30 @@ impl Waiting {
 }
 
 impl WideBvh {
-    /// From a binary hierarchy over triangles with these corners.
-    pub fn new(binary: &Bvh2, corners: &dyn Fn(usize) -> [Vec3A; 3]) -> Self {
+    /// From a binary hierarchy over the triangles of a mesh.
+    pub fn new(binary: &Bvh2, mesh: &Mesh) -> Self {
         if binary.nodes.is_empty() || binary.primitive_indices.is_empty() {
             return Self::default();
         }
-        let mut builder = Builder { binary, counts: triangle_counts(binary), corners, wide: Self::default() };
-        builder.build();
-        builder.wide
+        let mut builder = Builder { binary, counts: triangle_counts(binary), mesh, leaves: Vec::new() };
+        let (mut nodes, mut open) = (vec![Node::EMPTY], vec![(0, 0)]);
+        while let Some((index, place)) = open.pop() {
+            let mut node = Node { around: builder.around(index), ..Node::EMPTY };
+            for (k, child) in builder.children(index).into_iter().enumerate() {
+                for (bounds, corner) in node.bounds.iter_mut().zip(builder.around(child)) {
+                    bounds.iter_mut().zip(corner).for_each(|(each, c)| each[k] = c);
+                }
+                node.children[k] = if builder.is_leaf(child) {
+                    builder.leaf(child)
+                } else {
+                    open.push((child, nodes.len()));
+                    nodes.push(Node::EMPTY);
+                    nodes.len() as u32 - 1
+                };
+            }
+            nodes[place] = node;
+        }
+        Self { nodes, leaves: builder.leaves }
     }
 
     /// Visits the leaves whose boxes the rays enter before `limit`, near ones first.
@@ -237,35 +254,13 @@ fn triangle_counts(binary: &Bvh2) -> Vec<u32> {
 struct Builder<'a> {
     binary: &'a Bvh2,
     counts: Vec<u32>,
-    corners: &'a dyn Fn(usize) -> [Vec3A; 3],
-    wide: WideBvh,
+    mesh: &'a Mesh,
+    leaves: Vec<Leaf>,
 }
 
 impl Builder<'_> {
     fn is_leaf(&self, index: usize) -> bool {
         self.counts[index] as usize <= WIDTH || self.binary.nodes[index].is_leaf()
-    }
-
-    fn build(&mut self) {
-        self.wide.nodes.push(Node::EMPTY);
-        let mut open = vec![(0, 0)];
-        while let Some((index, place)) = open.pop() {
-            let mut node = Node { around: self.around(index), ..Node::EMPTY };
-            for (k, child) in self.children(index).into_iter().enumerate() {
-                let aabb = self.binary.nodes[child].aabb();
-                for (bounds, corner) in node.bounds.iter_mut().zip([aabb.min, aabb.max]) {
-                    bounds.iter_mut().zip(corner.to_array()).for_each(|(each, c)| each[k] = c);
-                }
-                node.children[k] = if self.is_leaf(child) {
-                    self.leaf(child)
-                } else {
-                    self.wide.nodes.push(Node::EMPTY);
-                    open.push((child, self.wide.nodes.len() - 1));
-                    self.wide.nodes.len() as u32 - 1
-                };
-            }
-            self.wide.nodes[place] = node;
-        }
     }
 
     /// Up to eight nodes that cover what is below a node: its largest children are opened.
@@ -302,7 +297,6 @@ impl Builder<'_> {
                 open.extend([first + 1, first]);
             }
         }
-        debug_assert!(triangles.len() <= WIDTH, "leaves of the binary hierarchy have one triangle");
         let mut leaf = Leaf {
             corners: Default::default(),
             triangles: [u32::MAX; WIDTH],
@@ -311,12 +305,12 @@ impl Builder<'_> {
         };
         for (lane, triangle) in triangles.iter().enumerate() {
             leaf.triangles[lane] = *triangle;
-            for (of, corner) in leaf.corners.iter_mut().zip((self.corners)(*triangle as usize)) {
+            for (of, corner) in leaf.corners.iter_mut().zip(self.mesh.corners(*triangle as usize)) {
                 of.iter_mut().zip(corner.to_array()).for_each(|(each, c)| each[lane] = c);
             }
         }
-        self.wide.leaves.push(leaf);
-        LEAF | (self.wide.leaves.len() as u32 - 1)
+        self.leaves.push(leaf);
+        LEAF | (self.leaves.len() as u32 - 1)
     }
 }
 

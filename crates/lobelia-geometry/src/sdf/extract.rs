@@ -26,9 +26,13 @@ pub fn extract_mesh(grid: &SdfGrid) -> Mesh {
 /// The connected components of the zero level, as [`extract_mesh`] has it, those with most triangles first.
 pub fn extract_components(grid: &SdfGrid) -> Vec<Mesh> {
     let shape = RuntimeShape::<u32, 3>::new([grid.side; 3]);
-    let mut values = grid.values.clone();
-    let last = grid.side - 1;
-    close_border(&mut values, grid.side as usize, 0.1 * grid.spacing);
+    let (mut values, side, last) = (grid.values.clone(), grid.side as usize, grid.side - 1);
+    // The border of the grid is raised to outside.
+    for (row, values) in values.chunks_exact_mut(side).enumerate() {
+        let is_border = [row % side, row / side].iter().any(|at| *at == 0 || *at == side - 1);
+        let step = if is_border { 1 } else { side - 1 };
+        values.iter_mut().step_by(step).for_each(|value| *value = value.max(0.1 * grid.spacing));
+    }
     let mut buffer = SurfaceNetsBuffer::default();
     surface_nets(&values, &shape, [0; 3], [last; 3], &mut buffer);
     let in_world = |p: &[f32; 3]| grid.origin + Vec3::from(*p) * grid.spacing;
@@ -42,16 +46,6 @@ pub fn extract_components(grid: &SdfGrid) -> Vec<Mesh> {
     let mut mesh = Mesh { positions, normals, uvs: None, triangles };
     mesh.drop_degenerate_triangles();
     components(&mesh)
-}
-
-/// Raises the values on the border of a grid to at least `least`.
-fn close_border(values: &mut [f32], side: usize, least: f32) {
-    let last = side - 1;
-    for (row, values) in values.chunks_exact_mut(side).enumerate() {
-        let is_border = [row % side, row / side].iter().any(|at| *at == 0 || *at == last);
-        let step = if is_border { 1 } else { last };
-        values.iter_mut().step_by(step).for_each(|value| *value = value.max(least));
-    }
 }
 
 /// A point projected onto the zero level, at most one cell away.
@@ -158,28 +152,53 @@ fn cut_edges(
     cuts
 }
 
-/// Gives every fan of triangles around a vertex its own vertex.
+/// Gives every fan of triangles around a vertex its own vertex: a group of connected corners; the first group of a vertex keeps it.
 fn part_fans(
     positions: &mut Vec<Vec3>,
     triangles: &mut [[u32; 3]],
     is_solid: &impl Fn(Vec3) -> bool,
 ) -> Vec<bool> {
-    // Groups of connected triangle corners: 3 t + k.
+    // Groups of corners 3 t + k.
+    let corner = |t: u32, vertex: u32| {
+        let k = triangles[t as usize].iter().position(|v| *v == vertex);
+        3 * t + k.expect("an edge's triangle has its ends") as u32
+    };
     let mut groups = DisjointSets::new(3 * triangles.len());
     for (edge, around) in edges(&sorted_sides(triangles)) {
         for (a, b) in pairs(positions, triangles, edge, &around, is_solid) {
             for vertex in edge {
-                groups.join(corner(triangles, a, vertex), corner(triangles, b, vertex));
+                groups.join(corner(a, vertex), corner(b, vertex));
             }
         }
     }
-    separate(positions, triangles, groups)
-}
-
-/// The corner of a triangle that is at a vertex.
-fn corner(triangles: &[[u32; 3]], triangle: u32, vertex: u32) -> u32 {
-    let k = triangles[triangle as usize].iter().position(|v| *v == vertex);
-    3 * triangle + k.expect("an edge's triangle has its ends") as u32
+    // Each corner after the first of its group, which is its root.
+    let mut corners: Vec<[u32; 2]> = (0..3 * triangles.len() as u32).map(|c| [groups.root(c), c]).collect();
+    corners.par_sort_unstable();
+    let fans = || corners.chunk_by(|a, b| a[0] == b[0]);
+    let (old, old_triangles) = (positions.clone(), triangles.to_vec());
+    let vertex = |fan: &[[u32; 2]]| old_triangles[fan[0][0] as usize / 3][fan[0][0] as usize % 3] as usize;
+    let mut count = vec![0u32; positions.len()];
+    fans().for_each(|fan| count[vertex(fan)] += 1);
+    let mut changed = vec![false; positions.len()];
+    for fan in fans() {
+        let from = vertex(fan);
+        if count[from] < 2 {
+            continue;
+        }
+        let corners = || fan.iter().map(|[_, corner]| *corner as usize);
+        let others = corners().flat_map(|c| old_triangles[c / 3]);
+        let around: Vec<Vec3> = others.filter(|v| *v as usize != from).map(|v| old[v as usize]).collect();
+        let middle = around.iter().sum::<Vec3>() / around.len() as f32;
+        let place = old[from].lerp(middle, APART);
+        if changed[from] {
+            corners().for_each(|c| triangles[c / 3][c % 3] = positions.len() as u32);
+            positions.push(place);
+            changed.push(true);
+        } else {
+            (changed[from], positions[from]) = (true, place);
+        }
+    }
+    changed
 }
 
 /// The pairs of triangles at an edge.
@@ -212,39 +231,6 @@ fn pairs(
     let n = turned.len();
     let start = (0..n).find(|&i| turned[i].2 == around_solid).unwrap_or(0);
     (0..n / 2).map(|i| (turned[(start + 2 * i) % n].1, turned[(start + 2 * i + 1) % n].1)).collect()
-}
-
-/// A vertex for every group of corners; the first group of a vertex keeps it.
-fn separate(positions: &mut Vec<Vec3>, triangles: &mut [[u32; 3]], mut groups: DisjointSets) -> Vec<bool> {
-    // Each corner after the first of its group, which is its root.
-    let mut corners: Vec<[u32; 2]> = (0..3 * triangles.len() as u32).map(|c| [groups.root(c), c]).collect();
-    corners.par_sort_unstable();
-    let fans = || corners.chunk_by(|a, b| a[0] == b[0]);
-    let vertex = |triangles: &[[u32; 3]], c: u32| triangles[c as usize / 3][c as usize % 3];
-    let mut count = vec![0u32; positions.len()];
-    fans().for_each(|fan| count[vertex(triangles, fan[0][0]) as usize] += 1);
-    let (old, old_triangles) = (positions.clone(), triangles.to_vec());
-    let mut kept = vec![false; positions.len()];
-    let mut changed = vec![false; positions.len()];
-    for fan in fans() {
-        let from = vertex(&old_triangles, fan[0][0]) as usize;
-        if count[from] < 2 {
-            continue;
-        }
-        let corners = || fan.iter().map(|[_, corner]| *corner as usize);
-        let others = corners().flat_map(|c| old_triangles[c / 3]);
-        let around: Vec<Vec3> = others.filter(|v| *v as usize != from).map(|v| old[v as usize]).collect();
-        let middle = around.iter().sum::<Vec3>() / around.len() as f32;
-        let place = old[from].lerp(middle, APART);
-        if kept[from] {
-            corners().for_each(|c| triangles[c / 3][c % 3] = positions.len() as u32);
-            positions.push(place);
-            changed.push(true);
-        } else {
-            (kept[from], changed[from], positions[from]) = (true, true, place);
-        }
-    }
-    changed
 }
 
 #[cfg(test)]

@@ -125,11 +125,10 @@ impl Camera {
         let [x, y] = self.center;
         let shifts = [x, y, self.skew, self.pixel_center];
         if !shifts.iter().all(|shift| shift.abs() <= MOST_SHIFT * longer) {
-            let problem = format!(
+            return Err(format!(
                 "its principal point ({x:e}, {y:e}) or skew {:e} is far outside {width}×{height} pixels",
                 self.skew
-            );
-            return Err(problem);
+            ));
         }
         let at = self.position();
         if !self.world_from_camera.is_finite() || at.abs().max_element() > FARTHEST {
@@ -178,7 +177,22 @@ impl Camera {
     /// # Errors
     /// [`Error::Usage`] if a field is outside its range (see [`CameraOrbit`]).
     pub fn orbit(orbit: &CameraOrbit) -> Result<Vec<Self>> {
-        let up = orbit.checked_up()?;
+        let wrong = |problem: String, help: &str| Err(Error::usage(format!("an orbit with {problem}"), help));
+        if !(orbit.radius > 0.0 && orbit.radius.is_finite()) {
+            return wrong(format!("a radius of {}", orbit.radius), "Give a distance above 0.");
+        }
+        if !(-90.0..=90.0).contains(&orbit.elevation_degrees) {
+            return wrong(
+                format!("an elevation of {} degrees", orbit.elevation_degrees),
+                "Give an angle between -90 (from below) and 90 (from above).",
+            );
+        }
+        if orbit.frames == 0 {
+            return wrong("no frames".into(), "Give `frames: 1` or more.");
+        }
+        let Some(up) = orbit.up.try_normalize() else {
+            return wrong(format!("up = {}", orbit.up), "Give a direction of non-zero length.");
+        };
         let front_hint = if up.z.abs() < 0.9 { Vec3::Z } else { Vec3::NEG_Y };
         let front = (front_hint - up * up.dot(front_hint)).normalize();
         let side = up.cross(front);
@@ -234,14 +248,7 @@ impl Camera {
         width: u32,
         height: u32,
     ) -> Result<Self> {
-        if width == 0 || height == 0 {
-            return Err(Error::usage(
-                format!("an image of {width}×{height} pixels"),
-                "Give a width and a height of at least 1.",
-            ));
-        }
-        let fov_is_good = fov_degrees > 0.0 && fov_degrees < 180.0;
-        if !fov_is_good {
+        if !(fov_degrees > 0.0 && fov_degrees < 180.0) {
             return Err(Error::usage(
                 format!("a vertical field of view of {fov_degrees} degrees"),
                 "Give an angle between 0 and 180 degrees, e.g. 38.",
@@ -251,39 +258,15 @@ impl Camera {
         let focal = 0.5 * height as f32 / (0.5 * fov_degrees.to_radians()).tan();
         let rotation = Mat3A::from_cols(right.into(), down.into(), forward.into());
         let world_from_camera = Affine3A { matrix3: rotation, translation: eye.into() };
-        let center = [0.5 * width as f32, 0.5 * height as f32];
-        let focal = [focal; 2];
+        let (focal, center) = ([focal; 2], [0.5 * width as f32, 0.5 * height as f32]);
         let camera = Self { width, height, focal, center, skew: 0.0, world_from_camera, pixel_center: 0.5 };
         camera.check().map_err(|problem| {
             Error::usage(
                 format!("a camera cannot be used: {problem}"),
-                "Correct its field of view and place.",
+                "Correct its image size, field of view and place.",
             )
         })?;
         Ok(camera)
-    }
-}
-
-impl CameraOrbit {
-    fn checked_up(&self) -> Result<Vec3> {
-        let wrong = |problem: String, help: &str| Err(Error::usage(format!("an orbit with {problem}"), help));
-        let radius_is_good = self.radius > 0.0 && self.radius.is_finite();
-        if !radius_is_good {
-            return wrong(format!("a radius of {}", self.radius), "Give a distance above 0.");
-        }
-        if !(-90.0..=90.0).contains(&self.elevation_degrees) {
-            return wrong(
-                format!("an elevation of {} degrees", self.elevation_degrees),
-                "Give an angle between -90 (from below) and 90 (from above).",
-            );
-        }
-        if self.frames == 0 {
-            return wrong("no frames".into(), "Give `frames: 1` or more.");
-        }
-        match self.up.try_normalize() {
-            Some(up) => Ok(up),
-            None => wrong(format!("up = {}", self.up), "Give a direction of non-zero length."),
-        }
     }
 }
 

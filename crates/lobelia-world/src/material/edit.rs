@@ -75,10 +75,6 @@ impl EditAction {
     fn color(&self, old: Vec3, texel: usize) -> Vec3 {
         self.apply(old, texel).clamp(Vec3::ZERO, Vec3::ONE)
     }
-
-    fn roughness(&self, old: f32) -> f32 {
-        self.apply(Vec3::splat(old), 0).x.clamp(0.03, 1.0)
-    }
 }
 
 /// Where: a weight in `[0, 1]` for each texel; `None` is everywhere.
@@ -164,7 +160,7 @@ pub fn apply_edit(
             edit_lobes(state, region, |lobe| SpecularLobe { albedo: action.color(lobe.albedo, 0), ..lobe })
         }
         EditTarget::Roughness => edit_lobes(state, region, |lobe| SpecularLobe {
-            roughness: action.roughness(lobe.roughness),
+            roughness: action.apply(Vec3::splat(lobe.roughness), 0).x.clamp(0.03, 1.0),
             ..lobe
         }),
     }
@@ -193,33 +189,22 @@ fn edit_lobes(
             state.lobes[k] = Some(edited);
             continue;
         }
-        let copy = number_of_copy(&mut state.lobes, before, edited)?;
+        // Lobes that become equal share a copy.
+        let same = state.lobes[before..].iter().position(|lobe| *lobe == Some(edited));
+        let copy = same.map_or(state.lobes.len(), |same| before + same);
+        if copy == MAX_SPECULAR_LOBES {
+            return Err(Error::usage(
+                format!("the edits need more than {MAX_SPECULAR_LOBES} different specular materials"),
+                "Let some regions share their roughness and specular albedo.",
+            ));
+        }
+        state.lobes.extend(same.is_none().then_some(Some(edited)));
         for (blend, share) in state.blends.iter_mut().zip(region) {
             blend.0[copy] += blend.0[k] * share;
             blend.0[k] *= 1.0 - share;
         }
     }
     Ok(())
-}
-
-/// The number of the copy that is an edited lobe, which is added unless one of the copies, from number `first` on, equals it.
-fn number_of_copy(
-    lobes: &mut Vec<Option<SpecularLobe>>,
-    first: usize,
-    edited: SpecularLobe,
-) -> Result<usize> {
-    if let Some(same) = lobes[first..].iter().position(|lobe| *lobe == Some(edited)) {
-        return Ok(first + same);
-    }
-    let number = lobes.len();
-    if number == MAX_SPECULAR_LOBES {
-        return Err(Error::usage(
-            format!("the edits need more than {MAX_SPECULAR_LOBES} different specular materials"),
-            "Let some regions share their roughness and specular albedo.",
-        ));
-    }
-    lobes.push(Some(edited));
-    Ok(number)
 }
 
 #[cfg(test)]

@@ -90,21 +90,6 @@ pub enum Slot {
 }
 
 impl Slot {
-    const ALL: [Self; 12] = [
-        Self::Material,
-        Self::Light,
-        Self::Visibility,
-        Self::Shading,
-        Self::ShadingAdjoint,
-        Self::Optimizer,
-        Self::Recast,
-        Self::Retrace,
-        Self::ShapeGradient,
-        Self::ShapeUpdate,
-        Self::CameraGradient,
-        Self::CameraUpdate,
-    ];
-
     /// The stage that it belongs to.
     pub fn stage(self) -> Stage {
         match self {
@@ -193,27 +178,32 @@ impl Pipeline {
     /// Adds a custom phase with all stages and slots. Its systems run one after another on the calling thread; they are
     /// parallel inside, over slices.
     pub fn add_phase(&mut self, phase: impl ScheduleLabel) -> &mut Self {
-        let stages = (
-            Stage::Sample,
-            Stage::Trace,
-            Stage::Gather,
-            Stage::Shade,
-            Stage::Loss,
-            Stage::Gradient,
-            Stage::Update,
-            Stage::Resolve,
-            Stage::Write,
-        );
+        use Slot::*;
+        use Stage::*;
         let mut schedule = Schedule::new(phase);
         schedule.set_executor(SingleThreadedExecutor::new());
-        schedule.configure_sets(stages.chain());
-        for slot in Slot::ALL {
+        schedule
+            .configure_sets((Sample, Trace, Gather, Shade, Loss, Gradient, Update, Resolve, Write).chain());
+        for slot in [
+            Material,
+            Light,
+            Visibility,
+            Shading,
+            ShadingAdjoint,
+            Optimizer,
+            Recast,
+            Retrace,
+            ShapeGradient,
+            ShapeUpdate,
+            CameraGradient,
+            CameraUpdate,
+        ] {
             schedule.configure_sets(slot.in_set(slot.stage()));
         }
         schedule.configure_sets((
-            (Slot::Material, Slot::Light, GatherPoints.in_set(Stage::Gather), Slot::Visibility).chain(),
-            (Slot::Recast, Slot::Retrace).chain(),
-            (Slot::ShadingAdjoint, ScatterAdjoints.in_set(Stage::Gradient), Slot::ShapeGradient).chain(),
+            (Material, Light, GatherPoints.in_set(Gather), Visibility).chain(),
+            (Recast, Retrace).chain(),
+            (ShadingAdjoint, ScatterAdjoints.in_set(Gradient), ShapeGradient).chain(),
         ));
         self.world.get_resource_or_init::<Schedules>().insert(schedule);
         self

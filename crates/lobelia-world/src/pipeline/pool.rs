@@ -11,7 +11,7 @@ use bevy_ecs::system::{SystemParam, SystemState};
 use bevy_ecs::{change_detection::ContiguousMut, component::Mutable, query::ContiguousQueryData};
 use lobelia_geometry::{Error, Result};
 use std::ops::{Deref, DerefMut, Range};
-use std::sync::Arc;
+use std::{borrow::Cow, sync::Arc};
 
 /// The row of an entity in its pool: 0 to the length of the pool − 1, each once.
 pub trait PoolIndex: Component {
@@ -102,6 +102,7 @@ type TableRow = (u32, u32);
 
 fn places<I: PoolIndex>(indices: &[&[I]], rows: &Range<usize>) -> Result<Arc<[TableRow]>> {
     const NOWHERE: TableRow = (u32::MAX, u32::MAX);
+    let wrong = |row, what| failed::<I>(format!("{} {row} {what}: indices count from 0, each once", I::NAME));
     let mut places = vec![NOWHERE; rows.len()];
     for (chunk, index) in indices.iter().enumerate() {
         for (place, index) in index.iter().enumerate() {
@@ -109,13 +110,13 @@ fn places<I: PoolIndex>(indices: &[&[I]], rows: &Range<usize>) -> Result<Arc<[Ta
                 continue;
             };
             if *slot != NOWHERE {
-                return Err(wrong_row::<I>(index.row(), "is duplicate"));
+                return Err(wrong(index.row(), "is duplicate"));
             }
             *slot = (chunk as u32, place as u32);
         }
     }
     match places.iter().position(|place| *place == NOWHERE) {
-        Some(missing) => Err(wrong_row::<I>(rows.start + missing, "is missing")),
+        Some(missing) => Err(wrong(rows.start + missing, "is missing")),
         None => Ok(places.into()),
     }
 }
@@ -124,13 +125,9 @@ fn failed<I: PoolIndex>(problem: impl Into<String>) -> Error {
     Error::run(format!("the {} pool", I::NAME), problem)
 }
 
-fn wrong_row<I: PoolIndex>(row: usize, problem: &str) -> Error {
-    failed::<I>(format!("{} {row} {problem}: indices count from 0, each once", I::NAME))
-}
-
 /// The column types of a [`Pool`]: `&T` and `&mut T` of `Copy` components, and tuples of these.
 pub trait Columns: ContiguousQueryData {
-    /// The columns as slices: [`Column`] for `&T`, [`ColumnMut`] for `&mut T`.
+    /// The columns as slices: `Cow<[T]>` for `&T`, of the table or copied in the order of the indices; [`ColumnMut`] for `&mut T`.
     type Slices<'w>;
 
     /// Consecutive rows of a table.
@@ -144,39 +141,19 @@ pub trait Columns: ContiguousQueryData {
     ) -> Self::Slices<'w>;
 }
 
-/// A column that is read.
-pub enum Column<'w, T> {
-    /// A slice of the table.
-    Table(&'w [T]),
-    /// A copy in the order of the indices.
-    Copied(Vec<T>),
-}
-
-impl<T> Deref for Column<'_, T> {
-    type Target = [T];
-
-    #[inline]
-    fn deref(&self) -> &[T] {
-        match self {
-            Self::Table(slice) => slice,
-            Self::Copied(values) => values,
-        }
-    }
-}
-
 impl<T: Component + Copy> Columns for &'static T {
-    type Slices<'w> = Column<'w, T>;
+    type Slices<'w> = Cow<'w, [T]>;
 
-    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, _marks: bool) -> Column<'w, T> {
-        Column::Table(&chunk[rows])
+    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, _marks: bool) -> Cow<'w, [T]> {
+        Cow::Borrowed(&chunk[rows])
     }
 
     fn gathered<'w, 's>(
         chunks: Vec<Self::Contiguous<'w, 's>>,
         places: &Arc<[TableRow]>,
         _marks: bool,
-    ) -> Column<'w, T> {
-        Column::Copied(places.iter().map(|&(chunk, place)| chunks[chunk as usize][place as usize]).collect())
+    ) -> Cow<'w, [T]> {
+        places.iter().map(|&(chunk, place)| chunks[chunk as usize][place as usize]).collect()
     }
 }
 

@@ -61,39 +61,27 @@ pub fn charts(mesh: &Mesh) -> Result<Vec<Chart>> {
     let topology = Topology::new(mesh);
     let tree = RegionTree::new(&topology);
     let mut found = Vec::new();
-    let mut open = tree.roots.clone();
-    for level in 0.. {
-        if open.is_empty() {
-            break;
-        }
-        let try_whole = |node: &u32| level < LEVELS.0 || tree.counts[*node as usize] <= LEVELS.1;
-        let flat = |node: &u32| {
-            try_whole(node).then(|| chart_of(&topology, tree.triangles(*node), &USUAL)).flatten()
+    let (mut open, mut level) = (tree.roots.clone(), 0);
+    while !open.is_empty() {
+        let flat = |node: &u32| -> Result<Option<Chart>> {
+            check_interrupted()?;
+            let try_whole = level < LEVELS.0 || tree.counts[*node as usize] <= LEVELS.1;
+            Ok(try_whole.then(|| chart_of(&topology, tree.triangles(*node), &USUAL)).flatten())
         };
-        let tried: Vec<(u32, Option<Chart>)> = open
-            .par_iter()
-            .map(|node| check_interrupted().map(|()| (*node, flat(node))))
-            .collect::<Result<_>>()?;
-        open.clear();
-        for (node, chart) in tried {
+        let tried: Vec<Option<Chart>> = open.par_iter().map(flat).collect::<Result<_>>()?;
+        level += 1;
+        for (node, chart) in std::mem::take(&mut open).into_iter().zip(tried) {
             match (chart, tree.nodes[node as usize]) {
                 (Some(chart), _) => found.push(chart),
                 (None, RegionNode::Pair(a, b)) => open.extend([a, b]),
-                (None, RegionNode::Triangle(face)) => found.push(single(&topology, face)),
+                (None, RegionNode::Triangle(face)) => {
+                    let places = PlanarTriangle::new(topology.corners(face)).corners().to_vec();
+                    found.push(Chart { faces: vec![face], triangles: vec![[0, 1, 2]], places });
+                }
             }
         }
     }
     join_small(&topology, found)
-}
-
-/// The chart of one triangle.
-fn single(topology: &Topology, face: u32) -> Chart {
-    let shape = PlanarTriangle::new(topology.corners(face));
-    Chart {
-        faces: vec![face],
-        triangles: vec![[0, 1, 2]],
-        places: vec![DVec2::ZERO, DVec2::new(shape.base, 0.0), shape.tip],
-    }
 }
 
 /// Triangles of the surface as a chart, if they lie flat.
@@ -242,8 +230,6 @@ struct Patch {
     area_vector: DVec3,
     /// Area, squared world units.
     area: f64,
-    /// Number of edges.
-    edges: usize,
 }
 
 impl Patch {
@@ -270,7 +256,6 @@ impl Patch {
             }));
         }
         let (border, loops) = border(&triangles, &inner, points.len());
-        let edges = (3 * faces.len() + border.len()) / 2;
         let vectors = || faces.iter().map(|&t| topology.area_vectors[t as usize]);
         Self {
             area_vector: vectors().sum(),
@@ -280,13 +265,13 @@ impl Patch {
             points,
             border,
             loops,
-            edges,
         }
     }
 
     /// Whether the patch can lie in a plane: connected, it has a border and no handles (Euler's formula).
     fn is_planar(&self) -> bool {
-        self.loops > 0 && self.points.len() + self.triangles.len() + self.loops == self.edges + 2
+        let edges = (3 * self.triangles.len() + self.border.len()) / 2;
+        self.loops > 0 && self.points.len() + self.triangles.len() + self.loops == edges + 2
     }
 }
 
@@ -351,6 +336,11 @@ impl PlanarTriangle {
         let x = (c - a).dot(along);
         let y = ((c - a) - along * x).length();
         Self { base, tip: DVec2::new(x, y), area: 0.5 * base * y }
+    }
+
+    /// Its corners in its plane.
+    fn corners(&self) -> [DVec2; 3] {
+        [DVec2::ZERO, DVec2::new(self.base, 0.0), self.tip]
     }
 
     /// Derivatives of a map from the triangle's plane that takes its corners to `corners`: by x, and by y.

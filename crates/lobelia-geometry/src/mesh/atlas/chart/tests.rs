@@ -225,7 +225,7 @@ fn the_laplacian_is_solved() {
     (right[3], right[40]) = (DVec2::new(1.0, -2.0), DVec2::new(-1.0, 2.0));
     let x = laplacian.solve(&right, 1e-12, 500);
     for (vertex, wanted) in right.iter().enumerate() {
-        let edges = laplacian.edges(vertex);
+        let edges = &laplacian.edges[vertex];
         let found: DVec2 = edges.iter().map(|(to, weight)| (x[vertex] - x[*to as usize]) * *weight).sum();
         assert!((found - *wanted).length() < 1e-9);
     }

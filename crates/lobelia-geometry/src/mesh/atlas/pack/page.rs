@@ -172,8 +172,8 @@ impl Page {
         self.longest_free[y as usize] = longest;
     }
 
-    /// The lowest of `rows` where the mask touches no taken cell, and the first column there.
-    pub fn find(&self, mask: &CellMask, rows: Range<u32>, scratch: &mut Scratch) -> Option<UVec2> {
+    /// The lowest of `rows` where the mask touches no taken cell, and the first column there. `scratch` keeps the room of two rows of bits.
+    pub fn find(&self, mask: &CellMask, rows: Range<u32>, scratch: &mut [Vec<u64>; 2]) -> Option<UVec2> {
         let end = rows.end.min((self.side + 1).checked_sub(mask.size.y)?);
         if mask.size.x > self.side {
             return None;
@@ -182,12 +182,11 @@ impl Page {
     }
 
     /// The first column where the mask fits in row `y`.
-    fn column(&self, mask: &CellMask, y: u32, scratch: &mut Scratch) -> Option<u32> {
+    fn column(&self, mask: &CellMask, y: u32, [blocked, spread]: &mut [Vec<u64>; 2]) -> Option<u32> {
         let room = |run: &CellRun| run.to - run.from < self.longest_free[(y + run.y) as usize];
         if !mask.runs.iter().all(room) {
             return None;
         }
-        let Scratch { blocked, spread } = scratch;
         blocked.clear();
         blocked.resize(self.stride, 0);
         if self.side - mask.size.x + 1 < self.stride as u32 * 64 {
@@ -227,13 +226,6 @@ impl Page {
         let rows = at.y.saturating_sub(gutter)..=(at.y + mask.size.y - 1 + gutter).min(self.side - 1);
         rows.for_each(|y| self.measure(y));
     }
-}
-
-/// Rows of bits for [`Page::find`].
-#[derive(Debug, Default)]
-pub struct Scratch {
-    blocked: Vec<u64>,
-    spread: Vec<u64>,
 }
 
 /// The word of `row` that begins at bit `64 word + by`.

@@ -127,7 +127,7 @@ fn the_lowest_place_is_found() {
     let mut page = Page::new(side, margin);
     let outer = |c: u32| c < margin || c >= side - margin;
     let mut taken: Vec<bool> = (0..side * side).map(|i| outer(i % side) || outer(i / side)).collect();
-    let mut scratch = Scratch::default();
+    let mut scratch = Default::default();
     for number in 0..60 {
         let random = |i: u64| (chance(number, i) + 1.0) / 2.0;
         let far = DVec2::new(random(0) * 69.0, random(1) * 30.0);
