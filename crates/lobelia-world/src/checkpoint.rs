@@ -220,14 +220,12 @@ where
             let (found, kept) = (rows.len(), saved.len());
             return Err(foreign(&format!("{kept} values of {name} for {found} entities")));
         }
-        let mut values: Vec<(usize, (Entity, T))> = rows
-            .into_iter()
-            .zip(saved)
-            .map(|((_, at, entity, _), (_, value))| (at, (entity, value)))
-            .collect();
         // In the order in which a system would insert them: tables keep it, and sums over these entities depend on it.
-        values.sort_unstable_by_key(|(at, _)| *at);
-        world.insert_batch(values.into_iter().map(|(_, row)| row).collect::<Vec<_>>());
+        let mut values = vec![None; rows.len()];
+        for ((_, at, entity, _), (_, value)) in rows.into_iter().zip(saved) {
+            values[at] = Some((entity, value));
+        }
+        world.insert_batch(values.into_iter().flatten().collect::<Vec<_>>());
         Ok(())
     };
     keep(world, Part { name, span, save: Box::new(save), load: Box::new(load) });

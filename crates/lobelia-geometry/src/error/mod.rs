@@ -82,12 +82,8 @@ impl Error {
         problem: impl Into<String>,
         help: impl Into<String>,
     ) -> Self {
-        Self::Input {
-            path: path.as_ref().to_owned(),
-            place: place.into(),
-            problem: problem.into(),
-            help: help.into(),
-        }
+        let (path, place) = (path.as_ref().to_owned(), place.into());
+        Self::Input { path, place, problem: problem.into(), help: help.into() }
     }
 
     /// Creates [`Error::Usage`].

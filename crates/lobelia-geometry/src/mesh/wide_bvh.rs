@@ -5,7 +5,7 @@
 
 use crate::mesh::triangles::Mesh;
 use fearless_simd::{Simd, f32x8, prelude::*};
-use glam::Vec3A;
+use glam::Vec3;
 use obvhs::bvh2::Bvh2;
 
 /// Children of a node, and triangles of a leaf.
@@ -51,13 +51,6 @@ pub(super) struct Leaf {
     pub around: BoxCorners,
 }
 
-impl Leaf {
-    /// The corners of one triangle.
-    pub fn corners_of(&self, lane: usize) -> [Vec3A; 3] {
-        self.corners.map(|corner| Vec3A::from_array(corner.map(|each| each[lane])))
-    }
-}
-
 /// The hierarchy.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct WideBvh {
@@ -79,7 +72,7 @@ pub(super) struct BoxRay {
 
 impl BoxRay {
     /// A ray of this origin and direction, which are finite.
-    pub fn new(origin: Vec3A, direction: Vec3A) -> Self {
+    pub fn new(origin: Vec3, direction: Vec3) -> Self {
         Self { origin: origin.to_array(), inverse: direction.to_array().map(inverse) }
     }
 }

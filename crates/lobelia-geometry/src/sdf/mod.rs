@@ -43,15 +43,8 @@ impl SdfGrid {
         let side = cells + 1;
         let spacing = 2.0 * half_side / cells as f32;
         let mut grid = Self { side, origin: center - Vec3::splat(half_side), spacing, values: Vec::new() };
-        let slab = (side * side) as usize;
-        let mut values = vec![0.0; slab * side as usize];
-        values.par_chunks_mut(slab).enumerate().for_each(|(z, slab)| {
-            for (i, out) in slab.iter_mut().enumerate() {
-                let (x, y) = (i as u32 % side, i as u32 / side);
-                *out = value(grid.position(UVec3::new(x, y, z as u32)));
-            }
-        });
-        grid.values = values;
+        let at = |i: usize| value(grid.position(grid.vertex(i)));
+        grid.values = (0..side as usize * (side * side) as usize).into_par_iter().map(at).collect();
         grid
     }
 

@@ -159,17 +159,14 @@ impl Camera {
         let forward = (target - eye).try_normalize().ok_or_else(|| {
             Error::usage(format!("a camera at {eye} cannot look at {target}"), "Move one of the two points.")
         })?;
-        let right = up.try_normalize().and_then(|up| {
-            let right = forward.cross(up);
-            (right.length() > 1e-4).then(|| right.normalize())
-        });
+        let right = up.try_normalize().map(|up| forward.cross(up)).filter(|right| right.length() > 1e-4);
         let right = right.ok_or_else(|| {
             Error::usage(
                 format!("up = {up} does not determine the roll of a camera that looks along {forward}"),
                 "Give an up direction of non-zero length that is not along the view.",
             )
         })?;
-        Self::from_axes(eye, forward, right, vertical_fov_degrees, width, height)
+        Self::from_axes(eye, forward, right.normalize(), vertical_fov_degrees, [width, height])
     }
 
     /// The cameras of an orbit, in order, counterclockwise seen from above.
@@ -198,17 +195,15 @@ impl Camera {
         let side = up.cross(front);
         let (sin_elevation, cos_elevation) = orbit.elevation_degrees.to_radians().sin_cos();
         let step = 360.0 / orbit.frames as f32;
-        (0..orbit.frames)
-            .map(|frame| {
-                let azimuth = (orbit.start_degrees + step * frame as f32).to_radians();
-                let (sin, cos) = azimuth.sin_cos();
-                let outward = cos_elevation * (cos * front + sin * side) + sin_elevation * up;
-                // The tangent of the circle is the right axis of the camera, also directly above the target.
-                let right = cos * side - sin * front;
-                let eye = orbit.target + orbit.radius * outward;
-                Self::from_axes(eye, -outward, right, orbit.vertical_fov_degrees, orbit.width, orbit.height)
-            })
-            .collect()
+        let camera = |frame: u32| {
+            let (sin, cos) = (orbit.start_degrees + step * frame as f32).to_radians().sin_cos();
+            let outward = cos_elevation * (cos * front + sin * side) + sin_elevation * up;
+            // The tangent of the circle is the right axis of the camera, also directly above the target.
+            let right = cos * side - sin * front;
+            let eye = orbit.target + orbit.radius * outward;
+            Self::from_axes(eye, -outward, right, orbit.vertical_fov_degrees, [orbit.width, orbit.height])
+        };
+        (0..orbit.frames).map(camera).collect()
     }
 
     /// `count` cameras distributed uniformly over a sphere of this radius around the origin, looking at the origin; images are square.
@@ -240,14 +235,8 @@ impl Camera {
         }
     }
 
-    fn from_axes(
-        eye: Vec3,
-        forward: Vec3,
-        right: Vec3,
-        fov_degrees: f32,
-        width: u32,
-        height: u32,
-    ) -> Result<Self> {
+    fn from_axes(eye: Vec3, forward: Vec3, right: Vec3, fov_degrees: f32, size: [u32; 2]) -> Result<Self> {
+        let [width, height] = size;
         if !(fov_degrees > 0.0 && fov_degrees < 180.0) {
             return Err(Error::usage(
                 format!("a vertical field of view of {fov_degrees} degrees"),

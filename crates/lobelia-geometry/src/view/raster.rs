@@ -115,10 +115,7 @@ impl Image {
         let (width, height) = small_size(self.width, self.height, factor);
         let scale = 1.0 / f64::from(factor.max(1)).powi(2);
         let pixels = blocks(self.width, self.height, factor)
-            .map(|block| {
-                let sum: DVec3 = block.map(|i| self.pixels[i].as_dvec3()).sum();
-                Vec3::new((sum.x * scale) as f32, (sum.y * scale) as f32, (sum.z * scale) as f32)
-            })
+            .map(|block| (block.map(|i| self.pixels[i].as_dvec3()).sum::<DVec3>() * scale).as_vec3())
             .collect();
         Self { width, height, pixels }
     }

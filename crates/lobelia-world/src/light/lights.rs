@@ -13,9 +13,7 @@ use super::light_frame::{LightFrame, OwnLightFrame, PictureRotation};
 use super::lobe::{LightLobe, rotate_lobes};
 use super::placement::{LightGroup, PicturePlacement, PlacedFrame, Placements, light_from_world};
 use crate::pipeline::SystemResult;
-use bevy_ecs::prelude::{
-    Component, Entity, IntoScheduleConfigs, Query, Res, ResMut, Resource, With, Without, World,
-};
+use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::{ScheduleSystem, SystemParam};
 use glam::{Mat3, Quat};

@@ -127,9 +127,7 @@ impl SpecularBlend {
 impl Default for SpecularBlend {
     /// Weight 1 of base material 0.
     fn default() -> Self {
-        let mut weights = [0.0; MAX_SPECULAR_LOBES];
-        weights[0] = 1.0;
-        Self(weights)
+        Self::even(1)
     }
 }
 
@@ -146,9 +144,8 @@ pub fn spawn_texels(
     tilt: &[DiffuseTilt],
     blends: &[SpecularBlend],
 ) {
-    let colors = albedo.iter().zip(sheen).zip(tilt).zip(blends);
-    let texels = (0..).map(TexelIndex).zip(colors);
-    let texels = texels.map(|(index, (((albedo, sheen), tilt), blend))| {
+    let columns = (0..).map(TexelIndex).zip(albedo).zip(sheen).zip(tilt).zip(blends);
+    let texels = columns.map(|((((index, albedo), sheen), tilt), blend)| {
         (index, DiffuseAlbedo(*albedo), *sheen, *tilt, *blend)
     });
     world.spawn_batch(texels.collect::<Vec<_>>());

@@ -52,14 +52,12 @@ pub enum KnownAlong {
 impl KnownAlong {
     /// The sheen of all texels beside their albedo; `None` for texels of another surface.
     pub fn sheen(&self, albedo: &[Vec3]) -> Option<Vec<DiffuseSheen>> {
-        let of = |(along, albedo): (&Vec3, &Vec3)| DiffuseSheen(*along - *albedo);
-        match self {
-            Self::Everywhere(along) => Some(albedo.iter().map(|albedo| of((along, albedo))).collect()),
-            Self::Texels(along) if along.len() == albedo.len() => {
-                Some(along.iter().zip(albedo).map(of).collect())
-            }
-            Self::Texels(_) => None,
-        }
+        let along = match self {
+            Self::Everywhere(along) => vec![*along; albedo.len()],
+            Self::Texels(along) => along.clone(),
+        };
+        let sheen = |(along, albedo): (&Vec3, &Vec3)| DiffuseSheen(*along - *albedo);
+        (along.len() == albedo.len()).then(|| along.iter().zip(albedo).map(sheen).collect())
     }
 
     /// Resamples the albedo for texels of the same surface at these places among those of now.

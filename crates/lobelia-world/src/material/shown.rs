@@ -17,10 +17,7 @@ use super::{
     Texels, spawn_texels,
 };
 use crate::{pipeline::SystemResult, pipeline::pool::read_column};
-use bevy_ecs::prelude::{
-    Changed, Commands, Component, Entity, IntoScheduleConfigs, Local, Or, Query, SystemCondition, With,
-    Without, World,
-};
+use bevy_ecs::prelude::*;
 use bevy_ecs::system::{ScheduleSystem, SystemParam};
 use bevy_ecs::{change_detection::DetectChangesMut, component::Mutable, schedule::ScheduleConfigs};
 use glam::Vec3;

@@ -97,11 +97,11 @@ fn in_order<I: PoolIndex>(index: &[I], rows: &Range<usize>) -> bool {
     })
 }
 
-/// Location of a row of a pool: chunk, and row in it.
-type TableRow = (u32, u32);
+/// Locations of rows of a pool: chunk, and row in it.
+type Places = Arc<[(u32, u32)]>;
 
-fn places<I: PoolIndex>(indices: &[&[I]], rows: &Range<usize>) -> Result<Arc<[TableRow]>> {
-    const NOWHERE: TableRow = (u32::MAX, u32::MAX);
+fn places<I: PoolIndex>(indices: &[&[I]], rows: &Range<usize>) -> Result<Places> {
+    const NOWHERE: (u32, u32) = (u32::MAX, u32::MAX);
     let wrong = |row, what| failed::<I>(format!("{} {row} {what}: indices count from 0, each once", I::NAME));
     let mut places = vec![NOWHERE; rows.len()];
     for (chunk, index) in indices.iter().enumerate() {
@@ -131,28 +131,20 @@ pub trait Columns: ContiguousQueryData {
     type Slices<'w>;
 
     /// Consecutive rows of a table.
-    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> Self::Slices<'w>;
+    fn slices<'w>(chunk: Self::Contiguous<'w, '_>, rows: Range<usize>, marks: bool) -> Self::Slices<'w>;
 
     /// Rows from several locations, copied in order.
-    fn gathered<'w, 's>(
-        chunks: Vec<Self::Contiguous<'w, 's>>,
-        places: &Arc<[TableRow]>,
-        marks: bool,
-    ) -> Self::Slices<'w>;
+    fn gathered<'w>(chunks: Vec<Self::Contiguous<'w, '_>>, places: &Places, marks: bool) -> Self::Slices<'w>;
 }
 
 impl<T: Component + Copy> Columns for &'static T {
     type Slices<'w> = Cow<'w, [T]>;
 
-    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, _marks: bool) -> Cow<'w, [T]> {
+    fn slices<'w>(chunk: Self::Contiguous<'w, '_>, rows: Range<usize>, _marks: bool) -> Cow<'w, [T]> {
         Cow::Borrowed(&chunk[rows])
     }
 
-    fn gathered<'w, 's>(
-        chunks: Vec<Self::Contiguous<'w, 's>>,
-        places: &Arc<[TableRow]>,
-        _marks: bool,
-    ) -> Cow<'w, [T]> {
+    fn gathered<'w>(chunks: Vec<Self::Contiguous<'w, '_>>, places: &Places, _marks: bool) -> Cow<'w, [T]> {
         places.iter().map(|&(chunk, place)| chunks[chunk as usize][place as usize]).collect()
     }
 }
@@ -166,7 +158,7 @@ pub struct ColumnMut<'w, T: Copy> {
 
 enum Source<'w, T> {
     Table { chunk: ContiguousMut<'w, T>, rows: Range<usize> },
-    Copied { values: Vec<T>, chunks: Vec<ContiguousMut<'w, T>>, places: Arc<[TableRow]> },
+    Copied { values: Vec<T>, chunks: Vec<ContiguousMut<'w, T>>, places: Places },
 }
 
 impl<T: Copy> ColumnMut<'_, T> {
@@ -224,17 +216,12 @@ impl<T: Copy> Drop for ColumnMut<'_, T> {
 impl<T: Component<Mutability = Mutable> + Copy> Columns for &'static mut T {
     type Slices<'w> = ColumnMut<'w, T>;
 
-    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> ColumnMut<'w, T> {
+    fn slices<'w>(chunk: Self::Contiguous<'w, '_>, rows: Range<usize>, marks: bool) -> ColumnMut<'w, T> {
         ColumnMut { source: Source::Table { chunk, rows }, marks }
     }
 
-    fn gathered<'w, 's>(
-        chunks: Vec<Self::Contiguous<'w, 's>>,
-        places: &Arc<[TableRow]>,
-        marks: bool,
-    ) -> ColumnMut<'w, T> {
-        let value = |&(chunk, place): &TableRow| chunks[chunk as usize][place as usize];
-        let values = places.iter().map(value).collect();
+    fn gathered<'w>(chunks: Vec<Self::Contiguous<'w, '_>>, places: &Places, marks: bool) -> ColumnMut<'w, T> {
+        let values = places.iter().map(|&(chunk, place)| chunks[chunk as usize][place as usize]).collect();
         ColumnMut { source: Source::Copied { values, chunks, places: places.clone() }, marks }
     }
 }
@@ -246,16 +233,12 @@ macro_rules! tuple_columns {
         impl<$($name: Columns),*> Columns for ($($name,)*) {
             type Slices<'w> = ($($name::Slices<'w>,)*);
 
-            fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> Self::Slices<'w> {
+            fn slices<'w>(chunk: Self::Contiguous<'w, '_>, rows: Range<usize>, marks: bool) -> Self::Slices<'w> {
                 let ($($value,)*) = chunk;
                 ($($name::slices($value, rows.clone(), marks),)*)
             }
 
-            fn gathered<'w, 's>(
-                chunks: Vec<Self::Contiguous<'w, 's>>,
-                places: &Arc<[TableRow]>,
-                marks: bool,
-            ) -> Self::Slices<'w> {
+            fn gathered<'w>(chunks: Vec<Self::Contiguous<'w, '_>>, places: &Places, marks: bool) -> Self::Slices<'w> {
                 // Vectors have the names of the types, their elements the names of the values.
                 $(let mut $name = Vec::with_capacity(chunks.len());)*
                 for ($($value,)*) in chunks {

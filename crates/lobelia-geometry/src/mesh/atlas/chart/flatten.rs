@@ -52,28 +52,27 @@ pub fn flatten(patch: &Patch, tolerance: &Tolerance) -> Option<Vec<DVec2>> {
     if !patch.is_planar() {
         return None;
     }
-    let flat = Flattening::new(patch);
-    let mut map = flat.view();
+    let mut map = patch.view();
     let is_hidden = |j: [DVec2; 2]| !energy(j).is_finite();
-    if flat.part(&map, is_hidden) > MOST_HIDDEN {
+    if patch.part(&map, is_hidden) > MOST_HIDDEN {
         return None;
     }
-    let laplacian = Laplacian::new(&flat);
+    let laplacian = Laplacian::new(patch);
     for _ in 0..UNFOLDING_ROUNDS {
-        if flat.part(&map, is_hidden) == 0.0 {
+        if patch.part(&map, is_hidden) == 0.0 {
             break;
         }
-        flat.unfold(&laplacian, &mut map);
+        patch.unfold(&laplacian, &mut map);
     }
-    flat.untangle(&laplacian, &mut map);
-    let found = flat.even_out(&laplacian, &mut map, EVENING);
+    patch.untangle(&laplacian, &mut map);
+    let found = patch.even_out(&laplacian, &mut map, EVENING);
     // As large as the patch.
     let factor = (patch.area / area_in_plane(&patch.triangles, &map)).sqrt();
     map.iter_mut().for_each(|p| *p *= factor);
     let is_uneven = |[by_x, by_y]: [DVec2; 2]| !(0.5..=2.0).contains(&by_x.perp_dot(by_y));
     (found <= tolerance.mean
         && factor.is_normal()
-        && flat.part(&map, is_uneven) <= tolerance.uneven
+        && patch.part(&map, is_uneven) <= tolerance.uneven
         && is_simple(&patch.border, &map))
     .then_some(map)
 }
@@ -94,38 +93,27 @@ fn energy_gradient([by_x, by_y]: [DVec2; 2]) -> [DVec2; 2] {
     [by_x * same - by_y.perp() * turned, by_y * same + by_x.perp() * turned]
 }
 
-/// A patch on its way into the plane.
-pub struct Flattening<'a> {
-    patch: &'a Patch,
-    /// Each triangle in its own plane.
-    shapes: Vec<PlanarTriangle>,
-}
-
-impl<'a> Flattening<'a> {
-    pub fn new(patch: &'a Patch) -> Self {
-        let shape = |t: &[u32; 3]| PlanarTriangle::new(t.map(|v| patch.points[v as usize]));
-        Self { patch, shapes: patch.triangles.iter().map(shape).collect() }
-    }
-
+/// On the way into the plane.
+impl Patch {
     /// The vertices along the patch's mean normal.
     fn view(&self) -> Vec<DVec2> {
-        let normal = self.patch.area_vector.try_normalize().unwrap_or(DVec3::Z);
+        let normal = self.area_vector.try_normalize().unwrap_or(DVec3::Z);
         let (right, up) = normal.any_orthonormal_pair();
-        let first = self.patch.points[0];
+        let first = self.points[0];
         // Counter-clockwise triangles stay so: (right, up, normal) is right-handed.
-        self.patch.points.iter().map(|p| DVec2::new((*p - first).dot(right), (*p - first).dot(up))).collect()
+        self.points.iter().map(|p| DVec2::new((*p - first).dot(right), (*p - first).dot(up))).collect()
     }
 
     /// Each triangle, its shape, and the derivatives of the map there.
     fn jacobians(&self, map: &[DVec2]) -> impl Iterator<Item = (&[u32; 3], &PlanarTriangle, [DVec2; 2])> {
-        let triangles = self.patch.triangles.iter().zip(&self.shapes);
+        let triangles = self.triangles.iter().zip(&self.shapes);
         triangles.map(|(t, shape)| (t, shape, shape.jacobian(t.map(|v| map[v as usize]))))
     }
 
     /// The part of the patch's area in triangles whose derivatives are such.
     fn part(&self, map: &[DVec2], is_such: impl Fn([DVec2; 2]) -> bool) -> f64 {
         let areas = self.jacobians(map).map(|(_, shape, j)| if is_such(j) { shape.area } else { 0.0 });
-        areas.sum::<f64>() / self.patch.area
+        areas.sum::<f64>() / self.area
     }
 
     /// One round of unfolding: turns each triangle to fit the map as it is, and moves the vertices to where these turned triangles meet
@@ -163,14 +151,14 @@ impl<'a> Flattening<'a> {
 
     /// Energy over the patch, divided by its area: at least 4; infinite if a triangle is turned over.
     pub fn mean_energy(&self, map: &[DVec2]) -> f64 {
-        self.jacobians(map).map(|(_, shape, j)| shape.area * energy(j)).sum::<f64>() / self.patch.area
+        self.jacobians(map).map(|(_, shape, j)| shape.area * energy(j)).sum::<f64>() / self.area
     }
 
     /// The adjoint of the map for [`Self::mean_energy`].
     pub fn gradient(&self, map: &[DVec2]) -> Vec<DVec2> {
         let mut sums = vec![DVec2::ZERO; map.len()];
         for (triangle, shape, j) in self.jacobians(map) {
-            let weight = shape.area / self.patch.area;
+            let weight = shape.area / self.area;
             let corners = shape.pull_back(energy_gradient(j).map(|column| column * weight));
             triangle.iter().zip(corners).for_each(|(v, corner)| sums[*v as usize] += corner);
         }
@@ -187,7 +175,7 @@ impl<'a> Flattening<'a> {
     ) -> f64 {
         let mut energy = self.mean_energy(map);
         let (mut direction, mut before): (Vec<DVec2>, Option<(Vec<DVec2>, f64)>) = (Vec::new(), None);
-        let mut step = 0.25 * self.patch.area;
+        let mut step = 0.25 * self.area;
         for _ in 0..rounds {
             if energy <= good || !energy.is_finite() {
                 break;
@@ -256,7 +244,7 @@ impl<'a> Flattening<'a> {
             let q = -0.5 * (b + inside.sqrt().copysign(b));
             [q / a, c / q].into_iter().filter(|t| *t > 0.0).fold(f64::INFINITY, f64::min)
         };
-        self.patch.triangles.iter().map(of_triangle).fold(f64::INFINITY, f64::min)
+        self.triangles.iter().map(of_triangle).fold(f64::INFINITY, f64::min)
     }
 }
 
@@ -272,8 +260,8 @@ pub struct Laplacian {
 
 impl Laplacian {
     /// The matrix of a patch; half the quadratic form is the Dirichlet energy, but for bounds of the weights.
-    pub fn new(flat: &Flattening) -> Self {
-        let mut edges: Vec<Vec<(u32, f64)>> = vec![Vec::with_capacity(8); flat.patch.points.len()];
+    pub fn new(patch: &Patch) -> Self {
+        let mut edges: Vec<Vec<(u32, f64)>> = vec![Vec::with_capacity(8); patch.points.len()];
         let mut add = |from: u32, to: u32, weight: f64| {
             let row = &mut edges[from as usize];
             match row.iter_mut().find(|(other, _)| *other == to) {
@@ -281,7 +269,7 @@ impl Laplacian {
                 None => row.push((to, weight)),
             }
         };
-        for (triangle, shape) in flat.patch.triangles.iter().zip(&flat.shapes) {
+        for (triangle, shape) in patch.triangles.iter().zip(&patch.shapes) {
             let corners = shape.corners();
             for k in 0..3 {
                 let [a, b] = [corners[(k + 1) % 3] - corners[k], corners[(k + 2) % 3] - corners[k]];

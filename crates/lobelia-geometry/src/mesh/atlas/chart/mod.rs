@@ -220,6 +220,8 @@ struct Patch {
     faces: Vec<u32>,
     /// Three vertices of the patch for each.
     triangles: Vec<[u32; 3]>,
+    /// The shape of each.
+    shapes: Vec<PlanarTriangle>,
     /// World position of each vertex.
     points: Vec<DVec3>,
     /// The patch's border: half edges as pairs of vertices, in closed loops one after another, and where each loop begins.
@@ -239,8 +241,7 @@ impl Patch {
             let neighbor = topology.neighbors[faces[i] as usize][k];
             if neighbor == NONE { None } else { faces.binary_search(&neighbor).ok() }
         };
-        let inner: Vec<[Option<usize>; 3]> =
-            (0..faces.len()).map(|i| [0, 1, 2].map(|k| across(i, k))).collect();
+        let inner: Vec<_> = (0..faces.len()).map(|i| [0, 1, 2].map(|k| across(i, k))).collect();
         let roots = joined_corners(topology, &faces, &inner);
         let mut vertex_of = vec![NONE; roots.len()];
         let (mut points, mut triangles) = (Vec::new(), Vec::with_capacity(faces.len()));
@@ -260,6 +261,7 @@ impl Patch {
         Self {
             area_vector: vectors().sum(),
             area: vectors().map(|v| v.length()).sum(),
+            shapes: faces.iter().map(|&face| PlanarTriangle::new(topology.corners(face))).collect(),
             faces,
             triangles,
             points,
