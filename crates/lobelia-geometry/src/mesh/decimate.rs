@@ -109,24 +109,21 @@ impl Collapser {
             }
         }
         for same in sorted_sides(&new.triangles).chunk_by(|a, b| a.ends == b.ends) {
-            if same.len() != 2 {
-                new.hold_border(&same[0]);
+            if same.len() == 2 {
+                continue;
+            }
+            // The plane through a border edge perpendicular to its triangle.
+            let Side { ends, triangle } = same[0];
+            let [a, b, c] = new.triangles[triangle as usize].map(|vertex| new.positions[vertex as usize]);
+            let [from, to] = ends.map(|end| new.positions[end as usize]);
+            let upright = (to - from).cross((b - a).cross(c - a)).normalize_or_zero();
+            let plane = Quadric::plane(upright, from, BORDER * (to - from).length_squared());
+            for end in ends.map(|end| end as usize) {
+                new.quadrics[end] = new.quadrics[end].plus(plane);
+                new.border[end] = true;
             }
         }
         new
-    }
-
-    /// Adds the plane through a border edge perpendicular to its triangle.
-    fn hold_border(&mut self, side: &Side) {
-        let [a, b, c] = self.triangles[side.triangle as usize].map(|vertex| self.positions[vertex as usize]);
-        let [from, to] = side.ends.map(|end| end as usize);
-        let edge = self.positions[to] - self.positions[from];
-        let upright = edge.cross((b - a).cross(c - a)).normalize_or_zero();
-        let plane = Quadric::plane(upright, self.positions[from], BORDER * edge.length_squared());
-        for end in [from, to] {
-            self.quadrics[end] = self.quadrics[end].plus(plane);
-            self.border[end] = true;
-        }
     }
 
     /// Collapses edges until `target` triangles are left or no collapse is allowed; returns whether any was made.

@@ -153,15 +153,15 @@ fn check(mesh: &Mesh) -> std::result::Result<(), String> {
     if mesh.triangles.is_empty() {
         return Err("the mesh has no triangles".to_owned());
     }
-    let count = mesh.positions.len();
-    let finite = |v: usize| mesh.normals[v].is_finite() && uvs[v].is_finite();
-    if let Some(bad) = (0..count).find(|&vertex| !finite(vertex)) {
-        return Err(format!("vertex {bad} is not finite"));
-    }
-    let far = |v: usize| mesh.positions[v].abs().max_element() > MAX_COORDINATE;
-    if let Some(bad) = (0..count).find(|&vertex| far(vertex)) {
-        let at = mesh.positions[bad];
-        return Err(format!("vertex {bad} is at {at}: coordinates must be at most {MAX_COORDINATE:e}"));
+    for (vertex, at) in mesh.positions.iter().enumerate() {
+        if !(mesh.normals[vertex].is_finite() && uvs[vertex].is_finite()) {
+            return Err(format!("vertex {vertex} is not finite"));
+        }
+        if at.abs().max_element() > MAX_COORDINATE {
+            return Err(format!(
+                "vertex {vertex} is at {at}: coordinates must be at most {MAX_COORDINATE:e}"
+            ));
+        }
     }
     match (0..mesh.triangles.len()).find(|&t| mesh.is_degenerate(t)) {
         Some(bad) => Err(format!("triangle {bad} has no area (drop degenerate triangles first)")),

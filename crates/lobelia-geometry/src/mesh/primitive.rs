@@ -20,10 +20,8 @@ const BOX_GUTTER: f32 = 1.0 / 64.0;
 /// [`Error::Usage`] if the radius is not positive or something is not finite.
 pub fn sphere_mesh(center: Vec3, radius: f32) -> Result<Mesh> {
     if !(center.is_finite() && radius.is_finite() && radius > 0.0) {
-        return Err(Error::usage(
-            format!("a sphere of radius {radius} around {center} is not a surface"),
-            "the radius must be positive and all numbers finite",
-        ));
+        let problem = format!("a sphere of radius {radius} around {center} is not a surface");
+        return Err(Error::usage(problem, "the radius must be positive and all numbers finite"));
     }
     let mut mesh = Mesh { uvs: Some(Vec::new()), ..Mesh::default() };
     for row in 0..=SPHERE_ROWS {
@@ -31,14 +29,11 @@ pub fn sphere_mesh(center: Vec3, radius: f32) -> Result<Mesh> {
         for column in 0..=SPHERE_COLUMNS {
             // A pole has one vertex per column, in the middle of its triangle in u.
             let shift = if at_pole { 0.5 } else { 0.0 };
-            let uv = Vec2::new(
-                ((column as f32 + shift) / SPHERE_COLUMNS as f32).min(1.0),
-                row as f32 / SPHERE_ROWS as f32,
-            );
+            let u = ((column as f32 + shift) / SPHERE_COLUMNS as f32).min(1.0);
             let normal = sphere_direction(row, column);
             mesh.positions.push(center + normal * radius);
             mesh.normals.push(normal);
-            mesh.uvs.iter_mut().for_each(|uvs| uvs.push(uv));
+            mesh.uvs.iter_mut().for_each(|uvs| uvs.push(Vec2::new(u, row as f32 / SPHERE_ROWS as f32)));
         }
     }
     let vertex = |row, column| row * (SPHERE_COLUMNS + 1) + column;
@@ -80,10 +75,8 @@ fn sphere_direction(row: u32, column: u32) -> Vec3 {
 /// [`Error::Usage`] if a side is not positive or something is not finite.
 pub fn box_mesh(center: Vec3, size: Vec3) -> Result<Mesh> {
     if !(center.is_finite() && size.is_finite() && size.min_element() > 0.0) {
-        return Err(Error::usage(
-            format!("a box of size {size} around {center} is not a surface"),
-            "all three sides must be positive and all numbers finite",
-        ));
+        let problem = format!("a box of size {size} around {center} is not a surface");
+        return Err(Error::usage(problem, "all three sides must be positive and all numbers finite"));
     }
     let mut mesh = Mesh { uvs: Some(Vec::new()), ..Mesh::default() };
     // Right and down as seen from outside, so that right × down points inward.

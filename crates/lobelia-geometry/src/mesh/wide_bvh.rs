@@ -262,9 +262,8 @@ impl Builder<'_> {
         while children.len() < WIDTH {
             let area = |child: usize| self.binary.nodes[child].aabb().half_area();
             let inner = (0..children.len()).filter(|k| !self.is_leaf(children[*k]));
-            let Some(k) = inner.max_by(|a, b| area(children[*a]).total_cmp(&area(children[*b]))) else {
-                break;
-            };
+            let largest = inner.max_by(|a, b| area(children[*a]).total_cmp(&area(children[*b])));
+            let Some(k) = largest else { break };
             let first = self.binary.nodes[children[k]].first_index as usize;
             children[k] = first;
             children.push(first + 1);

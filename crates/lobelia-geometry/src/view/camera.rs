@@ -161,10 +161,9 @@ impl Camera {
         })?;
         let right = up.try_normalize().map(|up| forward.cross(up)).filter(|right| right.length() > 1e-4);
         let right = right.ok_or_else(|| {
-            Error::usage(
-                format!("up = {up} does not determine the roll of a camera that looks along {forward}"),
-                "Give an up direction of non-zero length that is not along the view.",
-            )
+            let problem =
+                format!("up = {up} does not determine the roll of a camera that looks along {forward}");
+            Error::usage(problem, "Give an up direction of non-zero length that is not along the view.")
         })?;
         Self::from_axes(eye, forward, right.normalize(), vertical_fov_degrees, [width, height])
     }
@@ -179,10 +178,8 @@ impl Camera {
             return wrong(format!("a radius of {}", orbit.radius), "Give a distance above 0.");
         }
         if !(-90.0..=90.0).contains(&orbit.elevation_degrees) {
-            return wrong(
-                format!("an elevation of {} degrees", orbit.elevation_degrees),
-                "Give an angle between -90 (from below) and 90 (from above).",
-            );
+            let problem = format!("an elevation of {} degrees", orbit.elevation_degrees);
+            return wrong(problem, "Give an angle between -90 (from below) and 90 (from above).");
         }
         if orbit.frames == 0 {
             return wrong("no frames".into(), "Give `frames: 1` or more.");
@@ -238,10 +235,8 @@ impl Camera {
     fn from_axes(eye: Vec3, forward: Vec3, right: Vec3, fov_degrees: f32, size: [u32; 2]) -> Result<Self> {
         let [width, height] = size;
         if !(fov_degrees > 0.0 && fov_degrees < 180.0) {
-            return Err(Error::usage(
-                format!("a vertical field of view of {fov_degrees} degrees"),
-                "Give an angle between 0 and 180 degrees, e.g. 38.",
-            ));
+            let problem = format!("a vertical field of view of {fov_degrees} degrees");
+            return Err(Error::usage(problem, "Give an angle between 0 and 180 degrees, e.g. 38."));
         }
         let down = forward.cross(right).normalize();
         let focal = 0.5 * height as f32 / (0.5 * fov_degrees.to_radians()).tan();
@@ -249,13 +244,10 @@ impl Camera {
         let world_from_camera = Affine3A { matrix3: rotation, translation: eye.into() };
         let (focal, center) = ([focal; 2], [0.5 * width as f32, 0.5 * height as f32]);
         let camera = Self { width, height, focal, center, skew: 0.0, world_from_camera, pixel_center: 0.5 };
-        camera.check().map_err(|problem| {
-            Error::usage(
-                format!("a camera cannot be used: {problem}"),
-                "Correct its image size, field of view and place.",
-            )
-        })?;
-        Ok(camera)
+        camera.check().map(|()| camera).map_err(|problem| {
+            let problem = format!("a camera cannot be used: {problem}");
+            Error::usage(problem, "Correct its image size, field of view and place.")
+        })
     }
 }
 

@@ -29,9 +29,7 @@ use std::{ops::Range, sync::Arc};
 pub struct ViewName(pub String);
 
 /// Number of a view, by which pixel samples refer to it. Unique, and otherwise arbitrary.
-#[derive(
-    Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
-)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct ViewIndex(pub u32);
 
 /// One value per view, by the index of the view.
@@ -89,9 +87,7 @@ impl<T> FromIterator<(ViewIndex, T)> for ByView<T> {
 pub struct ViewMask(pub StoredMask);
 
 /// The placement of the object that a view shows, counted from 0: it may be turned over between two rounds of photographs.
-#[derive(
-    Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
-)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Placement(pub u32);
 
 /// Which part of a data set a view belongs to.

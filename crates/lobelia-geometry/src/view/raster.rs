@@ -144,14 +144,9 @@ fn small_size(width: u32, height: u32, factor: u32) -> (u32, u32) {
 
 /// For each pixel of the small image, row by row, the indices of its block in the large one.
 fn blocks(width: u32, height: u32, factor: u32) -> impl Iterator<Item = impl Iterator<Item = usize>> {
-    let (small_width, small_height) = small_size(width, height, factor);
-    let (width, factor) = (width as usize, factor.max(1) as usize);
-    (0..small_height as usize).flat_map(move |y| {
-        (0..small_width as usize).map(move |x| {
-            (0..factor)
-                .flat_map(move |dy| (0..factor).map(move |dx| (y * factor + dy) * width + x * factor + dx))
-        })
-    })
+    let ((across, down), side) = (small_size(width, height, factor), factor.max(1));
+    let places = (0..down).flat_map(move |y| (0..across).map(move |x| (x * side, y * side)));
+    places.map(move |(x, y)| PixelWindow { x, y, width: side, height: side }.pixels(width))
 }
 
 /// Index of a pixel, and its weight in a sum.

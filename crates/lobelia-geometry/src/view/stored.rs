@@ -45,11 +45,10 @@ impl Numbers {
 
     /// The greatest value, and no less than 0: of stored integers the greatest that they could be.
     fn highest(&self) -> f32 {
-        let highest = |a: f32, b: f32| a.max(b);
         match self {
-            Self::Bytes(_, table) | Self::Words(_, table) => table.iter().copied().fold(0.0, highest),
-            Self::Halves(stored) => stored.iter().map(|value| value.to_f32()).fold(0.0, highest),
-            Self::Floats(stored) => stored.iter().copied().fold(0.0, highest),
+            Self::Bytes(_, table) | Self::Words(_, table) => table.iter().copied().fold(0.0, f32::max),
+            Self::Halves(stored) => stored.iter().map(|value| value.to_f32()).fold(0.0, f32::max),
+            Self::Floats(stored) => stored.iter().copied().fold(0.0, f32::max),
         }
     }
 }

@@ -12,9 +12,7 @@ use lobelia_geometry::view::Placement;
 use serde::{Deserialize, Serialize};
 
 /// Number of a group of photographs that have one light; 0 is that of the scene's own light.
-#[derive(
-    Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
-)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct LightGroup(pub u32);
 
 impl LightGroup {

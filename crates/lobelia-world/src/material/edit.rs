@@ -193,10 +193,9 @@ fn edit_lobes(
         let same = state.lobes[before..].iter().position(|lobe| *lobe == Some(edited));
         let copy = same.map_or(state.lobes.len(), |same| before + same);
         if copy == MAX_SPECULAR_LOBES {
-            return Err(Error::usage(
-                format!("the edits need more than {MAX_SPECULAR_LOBES} different specular materials"),
-                "Let some regions share their roughness and specular albedo.",
-            ));
+            let problem =
+                format!("the edits need more than {MAX_SPECULAR_LOBES} different specular materials");
+            return Err(Error::usage(problem, "Let some regions share their roughness and specular albedo."));
         }
         state.lobes.extend(same.is_none().then_some(Some(edited)));
         for (blend, share) in state.blends.iter_mut().zip(region) {

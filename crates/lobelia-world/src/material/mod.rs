@@ -39,9 +39,7 @@ pool_index! {
 pub type Texels<'w, 's, D> = Pool<'w, 's, TexelIndex, D>;
 
 /// Number of a base material, the index of its weight in [`SpecularBlend`]: 0 to [`MAX_SPECULAR_LOBES`] − 1, each at most once.
-#[derive(
-    Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
-)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct BaseMaterial(pub u32);
 
 /// The specular part of a base material.

@@ -90,15 +90,25 @@ pub enum Slot {
 }
 
 impl Slot {
+    /// All slots, in order, with their stages.
+    const STAGES: [(Self, Stage); 12] = [
+        (Self::Material, Stage::Gather),
+        (Self::Light, Stage::Gather),
+        (Self::Visibility, Stage::Gather),
+        (Self::Shading, Stage::Shade),
+        (Self::ShadingAdjoint, Stage::Gradient),
+        (Self::Optimizer, Stage::Update),
+        (Self::Recast, Stage::Trace),
+        (Self::Retrace, Stage::Trace),
+        (Self::ShapeGradient, Stage::Gradient),
+        (Self::ShapeUpdate, Stage::Update),
+        (Self::CameraGradient, Stage::Gradient),
+        (Self::CameraUpdate, Stage::Update),
+    ];
+
     /// The stage that it belongs to.
     pub fn stage(self) -> Stage {
-        match self {
-            Self::Material | Self::Light | Self::Visibility => Stage::Gather,
-            Self::Shading => Stage::Shade,
-            Self::Recast | Self::Retrace => Stage::Trace,
-            Self::ShadingAdjoint | Self::ShapeGradient | Self::CameraGradient => Stage::Gradient,
-            Self::Optimizer | Self::ShapeUpdate | Self::CameraUpdate => Stage::Update,
-        }
+        Self::STAGES[self as usize].1
     }
 }
 
@@ -178,32 +188,18 @@ impl Pipeline {
     /// Adds a custom phase with all stages and slots. Its systems run one after another on the calling thread; they are
     /// parallel inside, over slices.
     pub fn add_phase(&mut self, phase: impl ScheduleLabel) -> &mut Self {
-        use Slot::*;
         use Stage::*;
         let mut schedule = Schedule::new(phase);
         schedule.set_executor(SingleThreadedExecutor::new());
         schedule
             .configure_sets((Sample, Trace, Gather, Shade, Loss, Gradient, Update, Resolve, Write).chain());
-        for slot in [
-            Material,
-            Light,
-            Visibility,
-            Shading,
-            ShadingAdjoint,
-            Optimizer,
-            Recast,
-            Retrace,
-            ShapeGradient,
-            ShapeUpdate,
-            CameraGradient,
-            CameraUpdate,
-        ] {
-            schedule.configure_sets(slot.in_set(slot.stage()));
+        for (slot, stage) in Slot::STAGES {
+            schedule.configure_sets(slot.in_set(stage));
         }
         schedule.configure_sets((
-            (Material, Light, GatherPoints.in_set(Gather), Visibility).chain(),
-            (Recast, Retrace).chain(),
-            (ShadingAdjoint, ScatterAdjoints.in_set(Gradient), ShapeGradient).chain(),
+            (Slot::Material, Slot::Light, GatherPoints.in_set(Gather), Slot::Visibility).chain(),
+            (Slot::Recast, Slot::Retrace).chain(),
+            (Slot::ShadingAdjoint, ScatterAdjoints.in_set(Gradient), Slot::ShapeGradient).chain(),
         ));
         self.world.get_resource_or_init::<Schedules>().insert(schedule);
         self

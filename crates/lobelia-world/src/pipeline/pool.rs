@@ -91,10 +91,8 @@ impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
 
 /// Whether the entities at `rows` of a table have these indices. Without early exit, so that it compiles to a vector loop.
 fn in_order<I: PoolIndex>(index: &[I], rows: &Range<usize>) -> bool {
-    let part = index.get(rows.clone());
-    part.is_some_and(|part| {
-        part.iter().zip(rows.clone()).fold(0, |off, (index, row)| off | (index.row() ^ row)) == 0
-    })
+    let Some(part) = index.get(rows.clone()) else { return false };
+    part.iter().zip(rows.clone()).fold(0, |off, (index, row)| off | (index.row() ^ row)) == 0
 }
 
 /// Locations of rows of a pool: chunk, and row in it.
@@ -106,9 +104,8 @@ fn places<I: PoolIndex>(indices: &[&[I]], rows: &Range<usize>) -> Result<Places>
     let mut places = vec![NOWHERE; rows.len()];
     for (chunk, index) in indices.iter().enumerate() {
         for (place, index) in index.iter().enumerate() {
-            let Some(slot) = index.row().checked_sub(rows.start).and_then(|row| places.get_mut(row)) else {
-                continue;
-            };
+            let slot = index.row().checked_sub(rows.start).and_then(|row| places.get_mut(row));
+            let Some(slot) = slot else { continue };
             if *slot != NOWHERE {
                 return Err(wrong(index.row(), "is duplicate"));
             }

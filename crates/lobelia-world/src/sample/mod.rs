@@ -125,9 +125,8 @@ pub fn spawn_object(
     light: &[LightLobe],
 ) {
     world.insert_resource(Scenery(surface.clone()));
-    world.spawn_batch(
-        (0..).map(TexelIndex).zip(albedo.iter().copied().map(DiffuseAlbedo)).collect::<Vec<_>>(),
-    );
+    let texels = (0..).map(TexelIndex).zip(albedo.iter().copied().map(DiffuseAlbedo));
+    world.spawn_batch(texels.collect::<Vec<_>>());
     spawn_materials(world, materials);
     world.spawn_batch(light.to_vec());
 }
@@ -158,8 +157,8 @@ pub fn light_rotations(
     if frame.is_still() {
         return ByView::default();
     }
-    let rotation = |camera: Camera, placement| {
-        frame.light_from_world(camera.world_from_camera.matrix3.into(), placement)
+    let rotation = |(index, camera, placement): (ViewIndex, Camera, Placement)| {
+        (index, frame.light_from_world(camera.world_from_camera.matrix3.into(), placement))
     };
-    views.map(|(index, camera, placement)| (index, rotation(camera, placement))).collect()
+    views.map(rotation).collect()
 }

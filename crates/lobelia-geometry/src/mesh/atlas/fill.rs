@@ -17,10 +17,8 @@ const FINEST_CELLS: u32 = 128;
 /// # Panics
 /// If the three lengths differ.
 pub fn fill_uncovered(values: &mut [Vec3], known: &[bool], atlas: &TexelAtlas) {
-    assert!(
-        values.len() == known.len() && known.len() == atlas.covered.len(),
-        "one value and one flag per texel"
-    );
+    let is_whole = values.len() == known.len() && known.len() == atlas.covered.len();
+    assert!(is_whole, "one value and one flag per texel");
     let mut filled: Vec<bool> = values.iter().zip(known).map(|(v, &k)| k && v.is_finite()).collect();
     let sources: Vec<usize> = (0..values.len()).filter(|&i| filled[i] && atlas.covered[i]).collect();
     if !sources.is_empty() {
@@ -120,10 +118,9 @@ fn trilinear(cells: u32, means: &[(Vec3, f32)], unit: Vec3) -> (Vec3, f32) {
 fn pad_outwards(values: &mut [Vec3], filled: &mut [bool], width: usize, height: usize) {
     let neighbors = |i: usize| {
         let (x, y) = (i % width, i / width);
-        let rows = y.saturating_sub(1)..(y + 2).min(height);
-        rows.flat_map(move |row| {
-            (x.saturating_sub(1)..(x + 2).min(width)).map(move |column| row * width + column)
-        })
+        let (rows, columns) =
+            (y.saturating_sub(1)..(y + 2).min(height), x.saturating_sub(1)..(x + 2).min(width));
+        rows.flat_map(move |row| columns.clone().map(move |column| row * width + column))
     };
     let mut ring: Vec<usize> =
         (0..values.len()).filter(|&i| !filled[i] && neighbors(i).any(|n| filled[n])).collect();

@@ -41,13 +41,8 @@ impl TexelAtlas {
     /// If several triangles reach a texel, the one nearest to its center is used; of equal ones, the first.
     pub fn new(mesh: &Mesh, width: u32, height: u32) -> Self {
         let count = width as usize * height as usize;
-        let mut atlas = Self {
-            width,
-            height,
-            position: vec![Vec3::ZERO; count],
-            normal: vec![Vec3::ZERO; count],
-            covered: vec![false; count],
-        };
+        let (position, normal) = (vec![Vec3::ZERO; count], vec![Vec3::ZERO; count]);
+        let mut atlas = Self { width, height, position, normal, covered: vec![false; count] };
         let mut nearest = vec![REACH; count];
         let size = DVec2::new(f64::from(width), f64::from(height));
         for triangle in mesh.uvs.iter().flat_map(|_| &mesh.triangles) {

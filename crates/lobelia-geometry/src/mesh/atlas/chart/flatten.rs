@@ -9,7 +9,7 @@
 //! gradient is taken through the Laplacian, as in Kovalsky, Galun, Lipman: "Accelerated quadratic proxy for geometric optimization",
 //! SIGGRAPH 2016, with conjugate directions instead of their acceleration.
 
-use super::{Patch, PlanarTriangle, area_in_plane};
+use super::{Patch, PlanarTriangle, area_in_plane, loops};
 use glam::{DVec2, DVec3};
 
 /// Largest part of the area that may face away from the view.
@@ -336,7 +336,7 @@ pub(super) fn is_simple(border: &[[u32; 2]], map: &[DVec2]) -> bool {
         let ends = |edge: &[u32; 2]| edge.map(|v| map[v as usize] - map[edges[0][0] as usize]);
         edges.iter().map(ends).map(|[from, to]| 0.5 * from.perp_dot(to)).sum()
     };
-    let areas: Vec<f64> = border.chunk_by(|before, next| before[1] == next[0]).map(area).collect();
+    let areas: Vec<f64> = loops(border).map(area).collect();
     let outer = areas.iter().copied().fold(0.0, f64::max);
     areas.iter().filter(|area| **area > SLIT * outer).count() == 1 && !crosses(border, map)
 }

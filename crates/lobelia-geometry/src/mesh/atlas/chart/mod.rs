@@ -170,7 +170,23 @@ impl Topology {
             if mesh.is_degenerate(t) { DVec3::ZERO } else { 0.5 * (b - a).cross(c - a) }
         };
         let area_vectors: Vec<DVec3> = (0..triangles.len()).map(area_vector).collect();
-        let neighbors = across_edges(&triangles, &area_vectors);
+        let mut neighbors = vec![[NONE; 3]; triangles.len()];
+        for same in sorted_sides(&triangles).chunk_by(|a, b| a.ends == b.ends) {
+            let mut there = same.iter().filter(|side| area_vectors[side.triangle as usize] != DVec3::ZERO);
+            let (Some(a), Some(b), None) = (there.next(), there.next(), there.next()) else { continue };
+            // The number of the edge in each triangle: one runs along it, the other against it.
+            let [from, to] = a.ends;
+            let edge = |triangle: u32, start: u32, end: u32| {
+                let corners = triangles[triangle as usize];
+                (0..3).find(|&k| corners[k] == start && corners[(k + 1) % 3] == end)
+            };
+            for (a, b) in [(a.triangle, b.triangle), (b.triangle, a.triangle)] {
+                if let (Some(k), Some(l)) = (edge(a, from, to), edge(b, to, from)) {
+                    neighbors[a as usize][k] = b;
+                    neighbors[b as usize][l] = a;
+                }
+            }
+        }
         Self { points, triangles, neighbors, area_vectors }
     }
 
@@ -191,28 +207,6 @@ impl Topology {
     }
 }
 
-/// The triangle across each edge of those with area.
-fn across_edges(triangles: &[[u32; 3]], area_vectors: &[DVec3]) -> Vec<[u32; 3]> {
-    let mut found = vec![[NONE; 3]; triangles.len()];
-    for same in sorted_sides(triangles).chunk_by(|a, b| a.ends == b.ends) {
-        let mut there = same.iter().filter(|side| area_vectors[side.triangle as usize] != DVec3::ZERO);
-        let (Some(a), Some(b), None) = (there.next(), there.next(), there.next()) else { continue };
-        // The number of the edge in each triangle: one runs along it, the other against it.
-        let [from, to] = a.ends;
-        let edge = |triangle: u32, start: u32, end: u32| {
-            let corners = triangles[triangle as usize];
-            (0..3).find(|&k| corners[k] == start && corners[(k + 1) % 3] == end)
-        };
-        for (a, b) in [(a.triangle, b.triangle), (b.triangle, a.triangle)] {
-            if let (Some(k), Some(l)) = (edge(a, from, to), edge(b, to, from)) {
-                found[a as usize][k] = b;
-                found[b as usize][l] = a;
-            }
-        }
-    }
-    found
-}
-
 /// Triangles of a surface with vertices of their own: two corners are one vertex only if a fan of the patch's triangles joins them.
 #[derive(Debug)]
 struct Patch {
@@ -224,10 +218,8 @@ struct Patch {
     shapes: Vec<PlanarTriangle>,
     /// World position of each vertex.
     points: Vec<DVec3>,
-    /// The patch's border: half edges as pairs of vertices, in closed loops one after another, and where each loop begins.
+    /// The patch's border: half edges as pairs of vertices, in closed loops one after another ([`loops`]).
     border: Vec<[u32; 2]>,
-    /// Number of closed loops of the border.
-    loops: usize,
     /// Sum of the area vectors, squared world units.
     area_vector: DVec3,
     /// Area, squared world units.
@@ -256,24 +248,23 @@ impl Patch {
                 *vertex
             }));
         }
-        let (border, loops) = border(&triangles, &inner, points.len());
         let vectors = || faces.iter().map(|&t| topology.area_vectors[t as usize]);
         Self {
             area_vector: vectors().sum(),
             area: vectors().map(|v| v.length()).sum(),
             shapes: faces.iter().map(|&face| PlanarTriangle::new(topology.corners(face))).collect(),
+            border: border(&triangles, &inner, points.len()),
             faces,
             triangles,
             points,
-            border,
-            loops,
         }
     }
 
     /// Whether the patch can lie in a plane: connected, it has a border and no handles (Euler's formula).
     fn is_planar(&self) -> bool {
         let edges = (3 * self.triangles.len() + self.border.len()) / 2;
-        self.loops > 0 && self.points.len() + self.triangles.len() + self.loops == edges + 2
+        let loops = loops(&self.border).count();
+        loops > 0 && self.points.len() + self.triangles.len() + loops == edges + 2
     }
 }
 
@@ -294,8 +285,8 @@ fn joined_corners(topology: &Topology, faces: &[u32], inner: &[[Option<usize>; 3
     (0..3 * faces.len() as u32).map(|corner| corners.root(corner)).collect()
 }
 
-/// The half edges without an inner neighbor, loop by loop, and the number of loops.
-fn border(triangles: &[[u32; 3]], inner: &[[Option<usize>; 3]], vertices: usize) -> (Vec<[u32; 2]>, usize) {
+/// The half edges without an inner neighbor, loop by loop.
+fn border(triangles: &[[u32; 3]], inner: &[[Option<usize>; 3]], vertices: usize) -> Vec<[u32; 2]> {
     // A vertex is one fan, so that at most one half edge of the border leaves it.
     let mut next = vec![NONE; vertices];
     for (triangle, others) in triangles.iter().zip(inner) {
@@ -305,17 +296,21 @@ fn border(triangles: &[[u32; 3]], inner: &[[Option<usize>; 3]], vertices: usize)
             }
         }
     }
-    let (mut border, mut loops) = (Vec::new(), 0);
+    let mut border = Vec::new();
     for first in 0..vertices {
         let mut at = first;
-        loops += usize::from(next[first] != NONE);
         while next[at] != NONE {
             let to = std::mem::replace(&mut next[at], NONE);
             border.push([at as u32, to]);
             at = to as usize;
         }
     }
-    (border, loops)
+    border
+}
+
+/// The loops of a border.
+fn loops(border: &[[u32; 2]]) -> impl Iterator<Item = &[[u32; 2]]> {
+    border.chunk_by(|before, next| before[1] == next[0])
 }
 
 /// A triangle as it lies in its own plane: its first corner at the origin, the second on the x axis.

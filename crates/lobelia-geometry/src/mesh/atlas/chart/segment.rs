@@ -46,12 +46,7 @@ impl RegionTree {
     pub fn new(topology: &Topology) -> Self {
         let mut merging = Merging::new(topology);
         // A pair that was too bent may be flat enough when the flat one of the two has grown.
-        loop {
-            merging.queue_all();
-            if !merging.run() {
-                break;
-            }
-        }
+        while merging.round() {}
         let roots = (0..merging.node.len()).filter(|&r| merging.alive[r]).map(|r| merging.node[r]).collect();
         let mut counts: Vec<u32> = Vec::with_capacity(merging.nodes.len());
         for node in &merging.nodes {
@@ -186,8 +181,8 @@ impl Merging {
         }
     }
 
-    /// Puts all pairs into the queue.
-    fn queue_all(&mut self) {
+    /// Puts all pairs into the queue, and merges until it is empty; whether anything was merged.
+    fn round(&mut self) -> bool {
         for a in 0..self.alive.len() {
             for i in 0..self.neighbors[a].len() {
                 let b = self.neighbors[a][i];
@@ -196,15 +191,10 @@ impl Merging {
                 }
             }
         }
-    }
-
-    /// Merges until the queue is empty; whether anything was merged.
-    fn run(&mut self) -> bool {
         let mut any = false;
         while let Some(Reverse((cost, id, pair))) = self.queue.pop() {
-            let Some(border) = self.borders.get(&pair).copied().filter(|border| border.entry == id) else {
-                continue;
-            };
+            let border = self.borders.get(&pair).copied().filter(|border| border.entry == id);
+            let Some(border) = border else { continue };
             // Both may have grown since the entry was made: costs are looked at again only here.
             match self.cost(pair, &border) {
                 Some(now) if order_of(now) > cost => self.queue(pair),

@@ -128,11 +128,11 @@ fn patch_of(mesh: &Mesh) -> Patch {
 #[test]
 fn only_what_lies_in_a_plane_is_flattened() {
     let loose = Tolerance { mean: 1e9, uneven: 1.0 };
-    for (mesh, loops, planar) in
+    for (mesh, count, planar) in
         [(plate(4), 1, true), (tube(12, 3), 2, true), (ball(8, 0.0), 0, false), (torus(12, 8), 0, false)]
     {
         let patch = patch_of(&mesh);
-        assert_eq!((patch.loops, patch.is_planar()), (loops, planar));
+        assert_eq!((loops(&patch.border).count(), patch.is_planar()), (count, planar));
         assert!(planar || flatten(&patch, &loose).is_none());
     }
     // Two parts are not one patch.
@@ -152,7 +152,7 @@ fn triangles_that_meet_in_a_point_have_vertices_of_their_own() {
     mesh.positions = vec![Vec3::ZERO, Vec3::X, Vec3::Y, -Vec3::X, -Vec3::Y];
     mesh.triangles = vec![[0, 1, 2], [0, 3, 4]];
     let patch = patch_of(&mesh);
-    assert_eq!((patch.points.len(), patch.loops, patch.border.len()), (6, 2, 6));
+    assert_eq!((patch.points.len(), loops(&patch.border).count(), patch.border.len()), (6, 2, 6));
 }
 
 #[test]
