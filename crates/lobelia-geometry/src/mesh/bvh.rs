@@ -146,8 +146,8 @@ impl TriangleBvh {
         let to_entry = (self.center - ray.origin).dot(ray.direction) - 2.0 * self.radius;
         let skipped = if to_entry > FAR_AWAY * self.radius { to_entry } else { 0.0 };
         let origin = ray.origin + ray.direction * skipped;
-        let query = origin.is_finite().then(|| BoxRay::new(origin, ray.direction))?;
-        Some((RayFrame::new(origin, ray.direction), query, skipped))
+        let query = BoxRay { origin: origin.to_array(), inverse: ray.direction.to_array().map(inverse) };
+        origin.is_finite().then(|| (RayFrame::new(origin, ray.direction), query, skipped))
     }
 }
 
@@ -331,15 +331,10 @@ impl Packet {
         }
         let ray =
             |direction| Nearest { frame: RayFrame::new(origin, direction), low: min_distance, found: None };
-        Self {
-            origin: origin.to_array(),
-            inverse: std::array::from_fn(|axis| numbers.map(|i| inverse(directions[i][axis]))),
-            limits: std::array::from_fn(|i| if i < count { f32::INFINITY } else { f32::NEG_INFINITY }),
-            rays: numbers.map(|i| ray(directions[i])),
-            numbers,
-            count,
-            entering: 0,
-        }
+        let inverse = std::array::from_fn(|axis| numbers.map(|i| inverse(directions[i][axis])));
+        let limits = std::array::from_fn(|i| if i < count { f32::INFINITY } else { f32::NEG_INFINITY });
+        let rays = numbers.map(|i| ray(directions[i]));
+        Self { origin: origin.to_array(), inverse, limits, rays, numbers, count, entering: 0 }
     }
 
     /// A bit for each ray that enters a box before it meets what it has met.
@@ -487,9 +482,7 @@ mod tests {
             assert_eq!(found, bvh.nearest(&Ray { origin, direction }, 0.0));
         }
         assert_eq!(found[5..], [None; PACKET - 5]);
-        assert_eq!(
-            TriangleBvh::new(&Mesh::default()).nearest(&Ray { origin, direction: Vec3::X }, 0.0),
-            None
-        );
+        let empty = TriangleBvh::new(&Mesh::default());
+        assert_eq!(empty.nearest(&Ray { origin, direction: Vec3::X }, 0.0), None);
     }
 }

@@ -23,7 +23,18 @@ const MIN_HEIGHT: f64 = 1e-3;
 pub fn decimate(mesh: &Mesh, target: usize) -> Mesh {
     let mut collapser = Collapser::new(mesh);
     while collapser.alive > target && collapser.round(target) {}
-    collapser.finish()
+    let Collapser { center, positions, triangles, around, .. } = collapser;
+    let mut number = vec![u32::MAX; positions.len()];
+    let mut mesh = Mesh::default();
+    for vertex in (0..positions.len()).filter(|&vertex| !around[vertex].is_empty()) {
+        number[vertex] = mesh.positions.len() as u32;
+        mesh.positions.push((positions[vertex] + center).as_vec3());
+    }
+    let stays = |(t, [first, ..]): &(u32, [u32; 3])| around[*first as usize].contains(t);
+    let kept = (0..).zip(triangles).filter(stays);
+    mesh.triangles = kept.map(|(_, triangle)| triangle.map(|vertex| number[vertex as usize])).collect();
+    mesh.normals = mesh.smooth_normals();
+    mesh
 }
 
 /// Weighted sum of squared distances to planes and points: p·Ap + 2b·p + c.
@@ -87,16 +98,10 @@ impl Collapser {
         let joined = mesh.triangles.iter().map(|t| t.map(|vertex| weld[vertex as usize]));
         let triangles: Vec<[u32; 3]> = joined.filter(|[a, b, c]| a != b && b != c && c != a).collect();
         let count = mesh.positions.len();
-        let mut new = Self {
-            center,
-            positions: mesh.positions.iter().map(|p| p.as_dvec3() - center).collect(),
-            quadrics: vec![Quadric::ZERO; count],
-            around: vec![Vec::new(); count],
-            border: vec![false; count],
-            stamps: vec![0; count],
-            alive: triangles.len(),
-            triangles,
-        };
+        let positions = mesh.positions.iter().map(|p| p.as_dvec3() - center).collect();
+        let (quadrics, around) = (vec![Quadric::ZERO; count], vec![Vec::new(); count]);
+        let (border, stamps, alive) = (vec![false; count], vec![0; count], triangles.len());
+        let mut new = Self { center, positions, quadrics, triangles, around, border, stamps, alive };
         for (t, triangle) in new.triangles.iter().enumerate() {
             let corners = triangle.map(|vertex| new.positions[vertex as usize]);
             let doubled = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
@@ -219,21 +224,6 @@ impl Collapser {
             after.length() > MIN_HEIGHT * longest
                 && before.dot(after) > MIN_TURN * before.length() * after.length()
         })
-    }
-
-    fn finish(self) -> Mesh {
-        let mut number = vec![u32::MAX; self.positions.len()];
-        let mut mesh = Mesh::default();
-        for vertex in (0..self.positions.len()).filter(|&vertex| !self.around[vertex].is_empty()) {
-            number[vertex] = mesh.positions.len() as u32;
-            mesh.positions.push((self.positions[vertex] + self.center).as_vec3());
-        }
-        let stays =
-            |(t, [first, ..]): &(usize, &[u32; 3])| self.around[*first as usize].contains(&(*t as u32));
-        let kept = self.triangles.iter().enumerate().filter(stays);
-        mesh.triangles = kept.map(|(_, triangle)| triangle.map(|vertex| number[vertex as usize])).collect();
-        mesh.normals = mesh.smooth_normals();
-        mesh
     }
 }
 

@@ -101,18 +101,12 @@ impl Surface {
         let corners = self.mesh.triangles[triangle].map(|v| v as usize);
         let blend = |values: &[Vec3]| -> Vec3 { (0..3).map(|k| values[corners[k]] * found.weights[k]).sum() };
         let geometric_normal = self.geometric_normals[triangle];
-        let uv: Vec2 = match &self.mesh.uvs {
-            Some(uvs) => (0..3).map(|k| uvs[corners[k]] * found.weights[k]).sum(),
-            None => Vec2::ZERO,
-        };
-        Hit {
-            distance: found.distance,
-            position: blend(&self.mesh.positions),
-            normal: blend(&self.mesh.normals).try_normalize().unwrap_or(geometric_normal),
-            geometric_normal,
-            uv,
-            texels: address(uv, self.atlas.width, self.atlas.height),
-        }
+        let (position, normal) = (blend(&self.mesh.positions), blend(&self.mesh.normals));
+        let normal = normal.try_normalize().unwrap_or(geometric_normal);
+        let uvs = self.mesh.uvs.as_deref().unwrap_or_default();
+        let uv: Vec2 = (0..3).map(|k| uvs[corners[k]] * found.weights[k]).sum();
+        let texels = address(uv, self.atlas.width, self.atlas.height);
+        Hit { distance: found.distance, position, normal, geometric_normal, uv, texels }
     }
 }
 

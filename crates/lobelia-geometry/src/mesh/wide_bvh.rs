@@ -5,7 +5,6 @@
 
 use crate::mesh::triangles::Mesh;
 use fearless_simd::{Simd, f32x8, prelude::*};
-use glam::Vec3;
 use obvhs::bvh2::Bvh2;
 
 /// Children of a node, and triangles of a leaf.
@@ -66,15 +65,9 @@ pub(super) trait BoxRays {
 
 /// A ray as boxes are tested against it.
 pub(super) struct BoxRay {
-    origin: [f32; 3],
-    inverse: [f32; 3],
-}
-
-impl BoxRay {
-    /// A ray of this origin and direction, which are finite.
-    pub fn new(origin: Vec3, direction: Vec3) -> Self {
-        Self { origin: origin.to_array(), inverse: direction.to_array().map(inverse) }
-    }
+    pub origin: [f32; 3],
+    /// Inverse components of the direction ([`inverse`]).
+    pub inverse: [f32; 3],
 }
 
 /// The inverse of a direction's component, finite.
@@ -289,12 +282,8 @@ impl Builder<'_> {
                 open.extend([first + 1, first]);
             }
         }
-        let mut leaf = Leaf {
-            corners: Default::default(),
-            triangles: [u32::MAX; WIDTH],
-            count: triangles.len() as u32,
-            around: self.around(index),
-        };
+        let (count, around) = (triangles.len() as u32, self.around(index));
+        let mut leaf = Leaf { corners: Default::default(), triangles: [u32::MAX; WIDTH], count, around };
         for (lane, triangle) in triangles.iter().enumerate() {
             leaf.triangles[lane] = *triangle;
             for (of, corner) in leaf.corners.iter_mut().zip(self.mesh.corners(*triangle as usize)) {

@@ -253,14 +253,8 @@ mod tests {
             assert!(n.dot(p.normalize()) > 0.99);
         }
         // Closed and oriented outward: the sum of position · face normal gives the volume.
-        let volume: f32 = mesh
-            .triangles
-            .iter()
-            .map(|t| {
-                let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
-                a.dot(b.cross(c)) / 6.0
-            })
-            .sum();
+        let part = |[a, b, c]: [Vec3; 3]| a.dot(b.cross(c)) / 6.0;
+        let volume: f32 = (0..mesh.triangles.len()).map(|t| part(mesh.corners(t))).sum();
         assert!((volume - 4.0 / 3.0 * std::f32::consts::PI * 0.216).abs() < 0.01, "{volume}");
     }
 

@@ -116,14 +116,10 @@ impl Sweeps {
     fn new(grid: &SdfGrid, reach: f32) -> Self {
         let (side, spacing) = (grid.side as usize, grid.spacing);
         let count = grid.values.len();
-        let sweeps = Self {
-            side,
-            spacing,
-            reach,
-            distance: (0..count).into_par_iter().map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect(),
-            state: (0..count).into_par_iter().map(|_| AtomicU8::new(CLOSED)).collect(),
-            open_rows: (0..side * side).map(|_| AtomicBool::new(false)).collect(),
-        };
+        let distance = (0..count).into_par_iter().map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect();
+        let state = (0..count).into_par_iter().map(|_| AtomicU8::new(CLOSED)).collect();
+        let open_rows = (0..side * side).map(|_| AtomicBool::new(false)).collect();
+        let sweeps = Self { side, spacing, reach, distance, state, open_rows };
         let row = |row: usize| (0..side).map(move |x| GridVertex::new(side, [x, row % side, row / side]));
         // A neighbor has the other sign.
         let is_beside_zero = |place: &GridVertex| {

@@ -221,15 +221,10 @@ impl Camera {
         let factor = factor.max(1);
         let scale = 1.0 / factor as f32;
         let shift = self.pixel_center - 0.5;
-        Self {
-            width: self.width / factor,
-            height: self.height / factor,
-            focal: self.focal.map(|f| f * scale),
-            // Positions scale about the image's corner; `center` is counted from the `pixel_center` of pixel 0.
-            center: self.center.map(|c| (c - shift) * scale + shift),
-            skew: self.skew * scale,
-            ..*self
-        }
+        let (focal, skew) = (self.focal.map(|f| f * scale), self.skew * scale);
+        // Positions scale about the image's corner; `center` is counted from the `pixel_center` of pixel 0.
+        let center = self.center.map(|c| (c - shift) * scale + shift);
+        Self { width: self.width / factor, height: self.height / factor, focal, center, skew, ..*self }
     }
 
     fn from_axes(eye: Vec3, forward: Vec3, right: Vec3, fov_degrees: f32, size: [u32; 2]) -> Result<Self> {

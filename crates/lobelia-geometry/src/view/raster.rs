@@ -64,11 +64,9 @@ impl PixelWindow {
         let starts = move |count: u32| (0..count).step_by(side as usize);
         let places =
             starts(self.height).flat_map(move |down| starts(self.width).map(move |across| (across, down)));
-        places.map(move |(across, down)| Self {
-            x: self.x + across,
-            y: self.y + down,
-            width: side.min(self.width - across),
-            height: side.min(self.height - down),
+        places.map(move |(across, down)| {
+            let (width, height) = (side.min(self.width - across), side.min(self.height - down));
+            Self { x: self.x + across, y: self.y + down, width, height }
         })
     }
 
@@ -114,10 +112,9 @@ impl Image {
     pub fn downscaled(&self, factor: u32) -> Self {
         let (width, height) = small_size(self.width, self.height, factor);
         let scale = 1.0 / f64::from(factor.max(1)).powi(2);
-        let pixels = blocks(self.width, self.height, factor)
-            .map(|block| (block.map(|i| self.pixels[i].as_dvec3()).sum::<DVec3>() * scale).as_vec3())
-            .collect();
-        Self { width, height, pixels }
+        let blocks = blocks(self.width, self.height, factor);
+        let sums = blocks.map(|block| block.map(|i| self.pixels[i].as_dvec3()).sum::<DVec3>());
+        Self { width, height, pixels: sums.map(|sum| (sum * scale).as_vec3()).collect() }
     }
 }
 
@@ -126,10 +123,9 @@ impl Mask {
     pub fn downscaled(&self, factor: u32) -> Self {
         let (width, height) = small_size(self.width, self.height, factor);
         let scale = 1.0 / f64::from(factor.max(1)).powi(2);
-        let coverage = blocks(self.width, self.height, factor)
-            .map(|block| (block.map(|i| f64::from(self.coverage[i])).sum::<f64>() * scale) as f32)
-            .collect();
-        Self { width, height, coverage }
+        let blocks = blocks(self.width, self.height, factor);
+        let sums = blocks.map(|block| block.map(|i| f64::from(self.coverage[i])).sum::<f64>());
+        Self { width, height, coverage: sums.map(|sum| (sum * scale) as f32).collect() }
     }
 }
 
@@ -182,14 +178,13 @@ pub fn signed_distance(coverage: &[f32], width: usize, height: usize) -> Vec<f32
     let inside = |i: usize| coverage[i] >= 0.5;
     let to_inside = squared_distance(width, height, inside);
     let to_outside = squared_distance(width, height, |i| !inside(i));
-    (0..coverage.len())
-        .map(|i| {
-            // Pixels next to the other side: the silhouette lies between the two centers, half a pixel away on average.
-            let (far, sign) = if inside(i) { (to_outside[i], -1.0) } else { (to_inside[i], 1.0) };
-            let partly = coverage[i] > 0.0 && coverage[i] < 1.0;
-            if partly && far <= 2.0 { 0.5 - coverage[i] } else { sign * (far.sqrt() - 0.5) }
-        })
-        .collect()
+    let distance = |i: usize| {
+        // Pixels next to the other side: the silhouette lies between the two centers, half a pixel away on average.
+        let (far, sign) = if inside(i) { (to_outside[i], -1.0) } else { (to_inside[i], 1.0) };
+        let partly = coverage[i] > 0.0 && coverage[i] < 1.0;
+        if partly && far <= 2.0 { 0.5 - coverage[i] } else { sign * (far.sqrt() - 0.5) }
+    };
+    (0..coverage.len()).map(distance).collect()
 }
 
 /// Squared distance from every pixel to the nearest one that is `set`; at most that across the image.
@@ -230,15 +225,14 @@ fn lower_envelope(f: &[f32]) -> Vec<f32> {
         starts.push(start);
     }
     let mut k = 0;
-    (0..f.len())
-        .map(|p| {
-            while k + 1 < hull.len() && starts[k + 1] < p as f32 {
-                k += 1;
-            }
-            let d = p as f32 - hull[k] as f32;
-            d * d + f[hull[k]]
-        })
-        .collect()
+    let least = |p: usize| {
+        while k + 1 < hull.len() && starts[k + 1] < p as f32 {
+            k += 1;
+        }
+        let d = p as f32 - hull[k] as f32;
+        d * d + f[hull[k]]
+    };
+    (0..f.len()).map(least).collect()
 }
 
 #[cfg(test)]
@@ -265,10 +259,8 @@ mod tests {
         let mask = Mask { width: 2, height: 2, coverage: vec![1.0, 0.0, 0.5, 0.5] };
         assert_eq!(mask.downscaled(2).coverage, [0.5]);
         assert_eq!(any_downscaled(&[false, false, true, false], 4, 1, 1), [false, false, true, false]);
-        assert_eq!(
-            any_downscaled(&[false, false, false, true, false, false, false, false], 4, 2, 2),
-            [false, true]
-        );
+        let flags = [false, false, false, true, false, false, false, false];
+        assert_eq!(any_downscaled(&flags, 4, 2, 2), [false, true]);
     }
 
     #[test]

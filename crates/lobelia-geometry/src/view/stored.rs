@@ -12,11 +12,11 @@ use std::sync::Arc;
 #[derive(Clone, Debug, PartialEq)]
 enum Numbers {
     /// Places in a table.
-    Bytes(Vec<u8>, Arc<[f32]>),
+    Bytes(Box<[u8]>, Arc<[f32]>),
     /// Places in a table.
-    Words(Vec<u16>, Arc<[f32]>),
-    Halves(Vec<f16>),
-    Floats(Vec<f32>),
+    Words(Box<[u16]>, Arc<[f32]>),
+    Halves(Box<[f16]>),
+    Floats(Box<[f32]>),
 }
 
 impl Numbers {
@@ -27,9 +27,9 @@ impl Numbers {
             rounded.to_f32() == value || may_round && rounded.is_finite()
         };
         if values.clone().all(holds) {
-            Self::Halves(tight(values.map(f16::from_f32)))
+            Self::Halves(values.map(f16::from_f32).collect())
         } else {
-            Self::Floats(tight(values))
+            Self::Floats(values.collect())
         }
     }
 
@@ -51,13 +51,6 @@ impl Numbers {
             Self::Floats(stored) => stored.iter().copied().fold(0.0, f32::max),
         }
     }
-}
-
-/// Values without the room that a list grows by.
-fn tight<T>(values: impl Iterator<Item = T>) -> Vec<T> {
-    let mut list: Vec<T> = values.collect();
-    list.shrink_to_fit();
-    list
 }
 
 /// Flags, eight in a byte.
@@ -187,8 +180,8 @@ impl Photograph {
             covered && (0..colors).any(|channel| color_of(pixel, channel) == top)
         };
         let pack = |table: Arc<[f32]>, values: &mut dyn Iterator<Item = usize>| match samples {
-            IntegerSamples::Bytes(_) => Numbers::Bytes(tight(values.map(|v| v as u8)), table),
-            IntegerSamples::Words(_) => Numbers::Words(tight(values.map(|v| v as u16)), table),
+            IntegerSamples::Bytes(_) => Numbers::Bytes(values.map(|v| v as u8).collect(), table),
+            IntegerSamples::Words(_) => Numbers::Words(values.map(|v| v as u16).collect(), table),
         };
         let mut color = inside().flat_map(|pixel| (0..colors).map(move |channel| color_of(pixel, channel)));
         let color = pack(curve.color.clone(), &mut color);
@@ -272,7 +265,7 @@ impl StoredMask {
         let table: Arc<[f32]> = (0..=255u8).map(|v| f32::from(v) / 255.0).collect();
         let nearest = |coverage: f32| (coverage * 255.0).round() as u8;
         let coverage = if values.clone().all(|c| table[usize::from(nearest(c))] == c) {
-            Numbers::Bytes(tight(values.map(nearest)), table)
+            Numbers::Bytes(values.map(nearest).collect(), table)
         } else {
             Numbers::of(values, true)
         };

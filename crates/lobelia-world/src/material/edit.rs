@@ -103,9 +103,8 @@ impl MaterialState {
     /// If the number is out of range or already used.
     pub fn set_lobe(&mut self, number: BaseMaterial, lobe: SpecularLobe) -> Result<()> {
         let number = number.0 as usize;
-        let mut numbers: Vec<usize> = self.materials().map(|(number, _)| number).chain([number]).collect();
-        numbers.sort_unstable();
-        check_numbers(numbers.into_iter())?;
+        let used = self.lobes.get(number).is_some_and(Option::is_some).then_some(number);
+        check_numbers(used.into_iter().chain([number]))?;
         self.lobes.resize(self.lobes.len().max(number + 1), None);
         self.lobes[number] = Some(lobe);
         Ok(())

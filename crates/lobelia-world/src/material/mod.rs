@@ -162,9 +162,7 @@ pub fn spawn_materials(world: &mut World, lobes: &[SpecularLobe]) {
 pub fn replace_materials(world: &mut World, lobes: &[SpecularLobe], blend: SpecularBlend) -> Result<()> {
     let mut query = world.query_filtered::<Entity, With<BaseMaterial>>();
     let old: Vec<Entity> = query.iter(world).collect();
-    for material in old {
-        world.despawn(material);
-    }
+    old.into_iter().for_each(|material| _ = world.despawn(material));
     spawn_materials(world, lobes);
     let texels = world.query::<&TexelIndex>().iter(world).len();
     write_column::<TexelIndex, SpecularBlend>(world, &vec![blend; texels])

@@ -92,11 +92,7 @@ mod tests {
         let (albedo, sheen) = (Vec3::new(0.2, 0.4, 0.6), Vec3::new(0.3, 0.0, -0.5));
         assert_eq!(albedo_toward(albedo, sheen, 1.0), albedo);
         assert_eq!(albedo_toward(albedo, sheen, 0.0), albedo + sheen);
-        assert_eq!(
-            albedo_toward(albedo, sheen, -0.5),
-            albedo + sheen,
-            "seen from behind, as along the surface"
-        );
+        assert_eq!(albedo_toward(albedo, sheen, -0.5), albedo + sheen, "from behind, as along the surface");
         assert_eq!(albedo_toward(albedo, Vec3::ZERO, 0.3), albedo);
     }
 
@@ -112,10 +108,9 @@ mod tests {
         for known in [KnownAlong::Everywhere(Vec3::Y), KnownAlong::Texels(vec![Vec3::Y; 3])] {
             world.insert_resource(known);
             write_albedo(&mut world, new.clone()).unwrap();
-            let along = |(sheen, albedo): (&DiffuseSheen, &Vec3)| sheen.0 + *albedo;
-            assert!(
-                sheen(&mut world).iter().zip(&new).map(along).all(|along| along.abs_diff_eq(Vec3::Y, 1e-6))
-            );
+            for (sheen, albedo) in sheen(&mut world).iter().zip(&new) {
+                assert!((sheen.0 + *albedo).abs_diff_eq(Vec3::Y, 1e-6));
+            }
         }
         assert_eq!(KnownAlong::Texels(Vec::new()).sheen(&new), None);
     }

@@ -168,10 +168,7 @@ fn material_state<M: MaterialSource>(world: &mut World) -> Result<MaterialState>
     Ok(state)
 }
 
-fn values<M: MaterialSource, T>(world: &mut World) -> Result<Vec<T>>
-where
-    T: Component<Mutability = Mutable> + Copy,
-{
+fn values<M: MaterialSource, T: Component<Mutability = Mutable> + Copy>(world: &mut World) -> Result<Vec<T>> {
     Ok(read_column::<TexelIndex, ColumnOf<M, T>>(world)?.iter().map(Holds::value).collect())
 }
 

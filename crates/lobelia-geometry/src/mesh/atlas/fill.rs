@@ -129,9 +129,8 @@ fn pad_outwards(values: &mut [Vec3], filled: &mut [bool], width: usize, height: 
     while !ring.is_empty() {
         let mut next = Vec::new();
         for &i in &ring {
-            let (sum, count) = neighbors(i)
-                .filter(|&n| filled[n])
-                .fold((Vec3::ZERO, 0.0), |(sum, count), n| (sum + values[n], count + 1.0));
+            let known = neighbors(i).filter(|&n| filled[n]).map(|n| values[n]);
+            let (sum, count) = known.fold((Vec3::ZERO, 0.0), |(sum, count), v| (sum + v, count + 1.0));
             values[i] = sum / count;
             for n in neighbors(i) {
                 if !std::mem::replace(&mut queued[n], true) {
@@ -190,9 +189,8 @@ mod tests {
         let seen: Vec<bool> =
             (0..atlas.covered.len()).map(|i| atlas.covered[i] && atlas.position[i].y > -0.7).collect();
         let color = |p: Vec3| if p.x > 0.0 { Vec3::X } else { Vec3::Y };
-        let mut values: Vec<Vec3> = (0..seen.len())
-            .map(|i| if seen[i] { color(atlas.position[i]) } else { Vec3::splat(9.0) })
-            .collect();
+        let start = |i: usize| if seen[i] { color(atlas.position[i]) } else { Vec3::splat(9.0) };
+        let mut values: Vec<Vec3> = (0..seen.len()).map(start).collect();
         let before = values.clone();
         fill_uncovered(&mut values, &seen, &atlas);
         let mut filled = 0;

@@ -249,15 +249,10 @@ impl Patch {
             }));
         }
         let vectors = || faces.iter().map(|&t| topology.area_vectors[t as usize]);
-        Self {
-            area_vector: vectors().sum(),
-            area: vectors().map(|v| v.length()).sum(),
-            shapes: faces.iter().map(|&face| PlanarTriangle::new(topology.corners(face))).collect(),
-            border: border(&triangles, &inner, points.len()),
-            faces,
-            triangles,
-            points,
-        }
+        let (area_vector, area) = (vectors().sum(), vectors().map(|v| v.length()).sum());
+        let shapes = faces.iter().map(|&face| PlanarTriangle::new(topology.corners(face))).collect();
+        let border = border(&triangles, &inner, points.len());
+        Self { faces, triangles, shapes, points, border, area_vector, area }
     }
 
     /// Whether the patch can lie in a plane: connected, it has a border and no handles (Euler's formula).

@@ -122,19 +122,14 @@ impl Merging {
         let area: Vec<f64> = topology.area_vectors.iter().map(|v| v.length()).collect();
         let perimeter = (0..count as u32).map(|t| (0..3).map(|k| topology.edge_length(t, k)).sum()).collect();
         let normals = smoothed_normals(topology, &area);
-        let alive: Vec<bool> = (0..count as u32).map(|t| topology.has_area(t)).collect();
-        let mut merging = Self {
-            nodes: (0..count as u32).map(RegionNode::Triangle).collect(),
-            node: (0..count as u32).collect(),
-            alive,
-            normal: normals.iter().zip(&area).map(|(n, a)| *n * *a).collect(),
-            area,
-            perimeter,
-            neighbors: vec![Vec::new(); count],
-            borders: HashMap::with_capacity(2 * count),
-            queue: BinaryHeap::new(),
-            next_entry: 0,
-        };
+        let node: Vec<u32> = (0..count as u32).collect();
+        let nodes = node.iter().copied().map(RegionNode::Triangle).collect();
+        let alive = node.iter().map(|t| topology.has_area(*t)).collect();
+        let normal = normals.iter().zip(&area).map(|(n, a)| *n * *a).collect();
+        let (neighbors, borders) = (vec![Vec::new(); count], HashMap::with_capacity(2 * count));
+        let (queue, next_entry) = (BinaryHeap::new(), 0);
+        let mut merging =
+            Self { nodes, node, alive, area, normal, perimeter, neighbors, borders, queue, next_entry };
         for t in 0..count as u32 {
             for (k, &other) in topology.neighbors[t as usize].iter().enumerate() {
                 if other == NONE || t >= other {
@@ -221,25 +216,21 @@ impl Merging {
         self.perimeter[kept] += self.perimeter[gone] - 2.0 * border.length;
         self.borders.remove(&(a, b));
         for other in std::mem::take(&mut self.neighbors[gone]) {
-            if self.alive[other as usize] && other as usize != kept {
-                self.hand_over(gone as u32, kept as u32, other);
+            if !self.alive[other as usize] || other as usize == kept {
+                continue;
             }
+            let Some(border) = self.borders.remove(&pair(gone as u32, other)) else { continue };
+            let pair = pair(kept as u32, other);
+            if let Some(shared) = self.borders.get_mut(&pair) {
+                shared.length += border.length;
+                shared.crease += border.crease;
+            } else {
+                self.borders.insert(pair, border);
+                self.neighbors[kept].push(other);
+                self.neighbors[other as usize].push(kept as u32);
+            }
+            self.queue(pair);
         }
-    }
-
-    /// Moves the border of `gone` with `other` to `kept`.
-    fn hand_over(&mut self, gone: u32, kept: u32, other: u32) {
-        let Some(border) = self.borders.remove(&pair(gone, other)) else { return };
-        let pair = pair(kept, other);
-        if let Some(shared) = self.borders.get_mut(&pair) {
-            shared.length += border.length;
-            shared.crease += border.crease;
-        } else {
-            self.borders.insert(pair, border);
-            self.neighbors[kept as usize].push(other);
-            self.neighbors[other as usize].push(kept);
-        }
-        self.queue(pair);
     }
 }
 

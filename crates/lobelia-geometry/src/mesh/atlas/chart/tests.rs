@@ -107,9 +107,8 @@ fn a_crease_is_a_seam() {
     // Two plates at a sharp angle, each 12 × 12 squares.
     let flat = plate(12);
     let mut bent = flat.clone();
-    bent.positions
-        .iter_mut()
-        .for_each(|p| *p = Vec3::new(p.x.abs(), p.y, if p.x < 0.0 { -0.15 * p.x } else { 0.0 }));
+    let fold = |p: Vec3| Vec3::new(p.x.abs(), p.y, if p.x < 0.0 { -0.15 * p.x } else { 0.0 });
+    bent.positions.iter_mut().for_each(|p| *p = fold(*p));
     let found = good_charts(&bent);
     assert_eq!(found.len(), 2);
     for chart in found {
@@ -204,11 +203,8 @@ fn descent_lowers_the_energy_along_its_gradient() {
                 patch.mean_energy(&map)
             };
             let difference = (moved(1e-6) - moved(-1e-6)) / 2e-6;
-            assert!(
-                (difference - gradient[vertex][axis]).abs() < 1e-6,
-                "{difference} {}",
-                gradient[vertex][axis]
-            );
+            let found = gradient[vertex][axis];
+            assert!((difference - found).abs() < 1e-6, "{difference} {found}");
         }
     }
     let after = patch.even_out(&laplacian, &mut map, (60, 1e-6, 4.0));
