@@ -329,11 +329,10 @@ impl Packet {
             numbers[count] = i;
             count += 1;
         }
-        let ray =
-            |direction| Nearest { frame: RayFrame::new(origin, direction), low: min_distance, found: None };
         let inverse = std::array::from_fn(|axis| numbers.map(|i| inverse(directions[i][axis])));
         let limits = std::array::from_fn(|i| if i < count { f32::INFINITY } else { f32::NEG_INFINITY });
-        let rays = numbers.map(|i| ray(directions[i]));
+        let frames = numbers.map(|i| RayFrame::new(origin, directions[i]));
+        let rays = frames.map(|frame| Nearest { frame, low: min_distance, found: None });
         Self { origin: origin.to_array(), inverse, limits, rays, numbers, count, entering: 0 }
     }
 

@@ -126,18 +126,13 @@ pub struct SdfSurface {
     pub empty: Option<SdfGrid>,
 }
 
-impl SdfSurface {
-    fn hit(&self, ray: &Ray, distance: f32) -> Option<Hit> {
+impl Intersect for SdfSurface {
+    fn intersect(&self, ray: &Ray, min_distance: f32) -> Option<Hit> {
+        let distance = self.grid.first_crossing(ray, min_distance)?;
         let position = ray.origin + ray.direction * distance;
         let normal = self.grid.gradient(position).try_normalize()?;
         let texels = self.volume.nearest_address(position)?;
         Some(Hit { distance, position, normal, geometric_normal: normal, uv: Vec2::ZERO, texels })
-    }
-}
-
-impl Intersect for SdfSurface {
-    fn intersect(&self, ray: &Ray, min_distance: f32) -> Option<Hit> {
-        self.grid.first_crossing(ray, min_distance).and_then(|distance| self.hit(ray, distance))
     }
 
     fn occluded(&self, ray: &Ray, min_distance: f32, max_distance: f32) -> bool {

@@ -117,10 +117,8 @@ impl MaterialState {
 
     /// The base material of the whole object, if it has only one and its weight is one at every texel.
     pub fn uniform(&self) -> Option<SpecularLobe> {
-        match self.lobes.as_slice() {
-            [Some(one)] if self.blends.iter().all(|blend| *blend == SpecularBlend::default()) => Some(*one),
-            _ => None,
-        }
+        let [Some(one)] = self.lobes[..] else { return None };
+        self.blends.iter().all(|blend| *blend == SpecularBlend::default()).then_some(one)
     }
 }
 

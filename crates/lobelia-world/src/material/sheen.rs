@@ -74,8 +74,7 @@ impl KnownAlong {
 /// # Errors
 /// If the pool of texels is incomplete.
 pub fn write_albedo(world: &mut World, albedo: Vec<Vec3>) -> Result<()> {
-    let sheen = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(&albedo));
-    if let Some(sheen) = sheen {
+    if let Some(sheen) = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(&albedo)) {
         write_column::<TexelIndex, DiffuseSheen>(world, &sheen)?;
     }
     let albedo: Vec<DiffuseAlbedo> = albedo.into_iter().map(DiffuseAlbedo).collect();

@@ -49,12 +49,9 @@ pub struct Tolerance {
 /// The patch in the plane, as large as in the world and not mirrored: one place for each vertex, world units. `None` if it has no border, has
 /// handles, or cannot lie flat within the tolerance without triangles that are turned over or parts that overlap.
 pub fn flatten(patch: &Patch, tolerance: &Tolerance) -> Option<Vec<DVec2>> {
-    if !patch.is_planar() {
-        return None;
-    }
     let mut map = patch.view();
     let is_hidden = |j: [DVec2; 2]| !energy(j).is_finite();
-    if patch.part(&map, is_hidden) > MOST_HIDDEN {
+    if !patch.is_planar() || patch.part(&map, is_hidden) > MOST_HIDDEN {
         return None;
     }
     let laplacian = Laplacian::new(patch);
@@ -292,16 +289,13 @@ impl Laplacian {
         let mut residual = right.to_vec();
         let mut direction = vec![DVec2::ZERO; right.len()];
         let mut image = direction.clone();
-        let (mut before, mut first) = (0.0, 0.0);
-        for round in 0..rounds {
+        let (mut before, mut first) = (0.0, None);
+        for _ in 0..rounds {
             let weighted: f64 =
                 residual.iter().zip(&self.diagonal).map(|(r, d)| r.length_squared() / d).sum();
-            if round == 0 {
-                first = weighted;
-            }
+            let goal = tolerance * tolerance * *first.get_or_insert(weighted);
             // Also where the right side is zero, or not a number.
-            let open = weighted > tolerance * tolerance * first && weighted.is_normal();
-            if !open {
+            if !(weighted > goal && weighted.is_normal()) {
                 break;
             }
             let share = if before > 0.0 { weighted / before } else { 0.0 };
@@ -314,8 +308,7 @@ impl Laplacian {
                 *image = direction[vertex] * self.diagonal[vertex] - others;
             }
             let curvature: f64 = direction.iter().zip(&image).map(|(d, i)| d.dot(*i)).sum();
-            let convex = curvature > 0.0 && curvature.is_finite();
-            if !convex {
+            if !(curvature > 0.0 && curvature.is_finite()) {
                 break;
             }
             let step = weighted / curvature;

@@ -9,11 +9,8 @@ use std::ops::Range;
 /// Some cells of a row, from the first to the last.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellRun {
-    /// Row.
     pub y: u32,
-    /// First column.
     pub from: u32,
-    /// Last column.
     pub to: u32,
 }
 
