@@ -11,10 +11,8 @@
 use crate::pipeline::pool::PoolIndex;
 use bevy_ecs::prelude::{Component, Entity, EntityRef, Mut, Resource, With, World};
 use bevy_ecs::query::QueryFilter;
-use lobelia_geometry::error::stop::stopped_by;
-use lobelia_geometry::error::{Error, Result};
-use serde::Serialize;
-use serde::de::DeserializeOwned;
+use lobelia_geometry::{Error, Result, error::stop::stopped_by};
+use serde::{Serialize, de::DeserializeOwned};
 use std::any::type_name;
 use std::time::{Duration, Instant};
 
@@ -197,39 +195,33 @@ where
     O: Ord + 'static,
     K: PartialEq + Serialize + DeserializeOwned + 'static,
 {
-    let save = move |world: &mut World| {
-        let mut rows: Vec<(O, Option<(K, T)>)> = Vec::new();
-        for entity in world.query_filtered::<EntityRef, F>().iter(world) {
+    let rows = move |world: &mut World| {
+        let mut rows: Vec<(O, usize, Entity, K, Option<T>)> = Vec::new();
+        for (at, entity) in world.query_filtered::<EntityRef, F>().iter(world).enumerate() {
             let (order, key) = key(entity);
-            rows.push((order, entity.get::<T>().map(|value| (key, *value))));
+            rows.push((order, at, entity.id(), key, entity.get::<T>().copied()));
         }
         rows.sort_by(|a, b| a.0.cmp(&b.0));
-        let values: Option<Vec<(K, T)>> = rows.into_iter().map(|(_, value)| value).collect();
+        rows
+    };
+    let save = move |world: &mut World| {
+        let values = rows(world).into_iter().map(|(.., key, value)| Some((key, value?)));
+        let values: Option<Vec<(K, T)>> = values.collect();
         values.filter(|values| !values.is_empty()).map(|values| to_bytes(&values)).transpose()
     };
     let load = move |world: &mut World, bytes: &[u8]| {
         let saved: Vec<(K, T)> = from_bytes(bytes)?;
-        let mut query = world.query_filtered::<EntityRef, F>();
-        let entities = query.iter(world).enumerate();
-        let mut rows: Vec<(O, usize, Entity, K)> = entities
-            .map(|(at, entity)| {
-                let (order, key) = key(entity);
-                (order, at, entity.id(), key)
-            })
-            .collect();
-        rows.sort_by(|a, b| a.0.cmp(&b.0));
-        if !rows.iter().map(|(.., key)| key).eq(saved.iter().map(|(key, _)| key)) {
+        let rows = rows(world);
+        if !rows.iter().map(|(.., key, _)| key).eq(saved.iter().map(|(key, _)| key)) {
             let (found, kept) = (rows.len(), saved.len());
             return Err(foreign(&format!("{kept} values of {name} for {found} entities")));
         }
-        let mut values: Vec<(usize, (Entity, T))> = rows
-            .into_iter()
-            .zip(saved)
-            .map(|((_, at, entity, _), (_, value))| (at, (entity, value)))
-            .collect();
         // In the order in which a system would insert them: tables keep it, and sums over these entities depend on it.
-        values.sort_unstable_by_key(|(at, _)| *at);
-        world.insert_batch(values.into_iter().map(|(_, row)| row).collect::<Vec<_>>());
+        let mut values = vec![None; rows.len()];
+        for ((_, at, entity, ..), (_, value)) in rows.into_iter().zip(saved) {
+            values[at] = Some((entity, value));
+        }
+        world.insert_batch(values.into_iter().flatten().collect::<Vec<_>>());
         Ok(())
     };
     keep(world, Part { name, span, save: Box::new(save), load: Box::new(load) });

@@ -7,11 +7,9 @@
 pub mod stop;
 
 use lobelia_sg::map_fit::MapFitError;
-use std::fmt;
 use std::io::ErrorKind::{QuotaExceeded, StorageFull};
-use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::{fmt, ops::Range, sync::Arc};
 
 /// Result of the fallible functions of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -21,7 +19,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[non_exhaustive]
 pub enum Error {
     /// An input file is not usable: the file, the place in it, the problem and the remedy.
-    #[error("{}{}: {problem}", path.display(), place_suffix(place))]
+    #[error("{}{}{place}: {problem}", path.display(), if place.is_empty() { "" } else { ", " })]
     Input {
         /// The file or folder.
         path: PathBuf,
@@ -76,10 +74,6 @@ impl From<MapFitError> for Error {
     }
 }
 
-fn place_suffix(place: &str) -> String {
-    if place.is_empty() { String::new() } else { format!(", {place}") }
-}
-
 impl Error {
     /// Creates [`Error::Input`]; `place` and `help` may be empty.
     pub fn input(
@@ -88,12 +82,8 @@ impl Error {
         problem: impl Into<String>,
         help: impl Into<String>,
     ) -> Self {
-        Self::Input {
-            path: path.as_ref().to_owned(),
-            place: place.into(),
-            problem: problem.into(),
-            help: help.into(),
-        }
+        let (path, place) = (path.as_ref().to_owned(), place.into());
+        Self::Input { path, place, problem: problem.into(), help: help.into() }
     }
 
     /// Creates [`Error::Usage`].

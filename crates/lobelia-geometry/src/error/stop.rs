@@ -3,7 +3,7 @@
 //! The flag is of the process, as a signal is: it stops the work of all pipelines and threads, and is never reset. A program that runs several
 //! and wants to stop one of them returns `ControlFlow::Break` from that fit's `watch` instead.
 
-use crate::error::{Error, Result};
+use crate::{Error, Result};
 use std::fmt;
 use std::sync::atomic::{AtomicU8, Ordering};
 

@@ -12,15 +12,12 @@ use crate::mesh::triangles::Mesh;
 use crate::mesh::wide_bvh::{
     BoxCorners, BoxRay, BoxRays, Each, Leaf, LeafVisitor, ROUNDING, WIDTH, WideBvh, inverse,
 };
-use fearless_simd::prelude::*;
-use fearless_simd::{Level, Simd, dispatch, f32x8, f32x16};
+use fearless_simd::{Level, Simd, dispatch, f32x8, f32x16, prelude::*};
 use glam::{Vec3, Vec3A};
 use lobelia_sg::ray::Ray;
-use obvhs::BvhBuildParams;
-use obvhs::aabb::Aabb;
-use obvhs::bvh2::Bvh2;
-use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
-use obvhs::ploc::PlocBuilder;
+use obvhs::{
+    BvhBuildParams, aabb::Aabb, bvh2::Bvh2, bvh2::reinsertion::ReinsertionOptimizer, ploc::PlocBuilder,
+};
 
 /// Most rays of a packet.
 pub(super) const PACKET: usize = 16;
@@ -38,52 +35,41 @@ pub struct TriangleBvh {
     radius: f32,
 }
 
-/// Two children per node; leaves are the indices of the boxes.
-pub(super) fn binary_hierarchy(boxes: &[Aabb]) -> Bvh2 {
+/// A hierarchy with two children per node, whose leaves are the triangles of a mesh; center of the box around these, and the greatest
+/// distance of a corner from it.
+///
+/// For boxes of equal size the builder pairs them one at a time, in quadratic time and depth. A different enlargement of each box by one
+/// to two times the slack, by a hash of its index, avoids these ties.
+pub(super) fn binary_hierarchy(mesh: &Mesh) -> (Bvh2, Vec3, f32) {
+    let (low, high) = mesh.bounds().unwrap_or_default();
+    let center = low.midpoint(high);
+    let used = mesh.triangles.iter().flatten().map(|&vertex| mesh.positions[vertex as usize]);
+    let radius = used.fold(0.0f32, |r, p| r.max(p.distance(center)));
+    let slack = BOX_SLACK * (radius + center.abs().max_element());
+    let enlarged = |index: usize| {
+        let [a, b, c] = mesh.corners(index).map(Vec3A::from);
+        let hash = (index as u32).wrapping_mul(0x9e37_79b9).rotate_left(15).wrapping_mul(0x85eb_ca6b) >> 8;
+        let slack = slack * (1.0 + hash as f32 / (1 << 24) as f32);
+        Aabb::new(a.min(b).min(c) - slack, a.max(b).max(c) + slack)
+    };
+    let boxes: Vec<Aabb> = (0..mesh.triangles.len()).map(enlarged).collect();
     let settings = BvhBuildParams::medium_build();
     let mut binary = PlocBuilder::with_capacity(boxes.len()).build(
         settings.ploc_search_distance,
-        boxes,
+        &boxes,
         (0..boxes.len() as u32).collect(),
         settings.sort_precision,
         settings.search_depth_threshold,
     );
     ReinsertionOptimizer::default().run(&mut binary, settings.reinsertion_batch_ratio, None);
-    binary
-}
-
-/// The box of a triangle, enlarged by one to two times `slack`.
-///
-/// For boxes of equal size the builder pairs them one at a time, in quadratic time and depth. A different enlargement of each box,
-/// by a hash of its index, avoids these ties.
-fn leaf_box(index: usize, corners: [Vec3; 3], slack: f32) -> Aabb {
-    let [a, b, c] = corners.map(Vec3A::from);
-    let hash = (index as u32).wrapping_mul(0x9e37_79b9).rotate_left(15).wrapping_mul(0x85eb_ca6b) >> 8;
-    let slack = slack * (1.0 + hash as f32 / (1 << 24) as f32);
-    Aabb::new(a.min(b).min(c) - slack, a.max(b).max(c) + slack)
-}
-
-/// The boxes of all triangles of a mesh within `radius` of `center`.
-pub(super) fn leaf_boxes(mesh: &Mesh, center: Vec3, radius: f32) -> Vec<Aabb> {
-    let slack = BOX_SLACK * (radius + center.abs().max_element());
-    (0..mesh.triangles.len()).map(|t| leaf_box(t, mesh.corners(t), slack)).collect()
-}
-
-/// Center of the box around the triangles, and the greatest distance of a corner from it.
-pub(super) fn bounding_sphere(mesh: &Mesh) -> (Vec3, f32) {
-    let (low, high) = mesh.bounds().unwrap_or_default();
-    let center = low.midpoint(high);
-    let used = mesh.triangles.iter().flatten().map(|&vertex| mesh.positions[vertex as usize]);
-    (center, used.fold(0.0f32, |r, p| r.max(p.distance(center))))
+    (binary, center, radius)
 }
 
 impl TriangleBvh {
     /// Builds the hierarchy; the same mesh gives the same hierarchy.
     pub fn new(mesh: &Mesh) -> Self {
-        let (center, radius) = bounding_sphere(mesh);
-        let binary = binary_hierarchy(&leaf_boxes(mesh, center, radius));
-        let hierarchy = WideBvh::new(&binary, &|t| mesh.corners(t).map(Vec3A::from));
-        Self { level: Level::new(), hierarchy, center, radius }
+        let (binary, center, radius) = binary_hierarchy(mesh);
+        Self { level: Level::new(), hierarchy: WideBvh::new(&binary, mesh), center, radius }
     }
 
     /// Center and radius of a sphere around all triangles, world units.
@@ -112,15 +98,26 @@ impl TriangleBvh {
         let mut found = [None; PACKET];
         // From far away each ray is moved to the object first.
         let is_near = self.center.distance(origin) <= FAR_AWAY * self.radius;
-        let (sides, alone) = sides_of(directions, is_near);
+        // The directions, as bits, by the signs of their components.
+        let mut sides = [0u32; 8];
+        for (i, &direction) in directions.iter().enumerate() {
+            if is_near && direction.is_finite() && direction != Vec3::ZERO {
+                sides[direction.signum().cmplt(Vec3::ZERO).bitmask() as usize] |= 1 << i;
+            } else {
+                found[i] = self.nearest(&Ray { origin, direction }, min_distance);
+            }
+        }
         for packet in sides.into_iter().filter(|bits| *bits != 0) {
             let mut rays = Packet::new(origin, directions, packet, min_distance);
-            let query = rays.boxes();
+            let of = |fold: fn(f32, f32) -> f32| {
+                rays.inverse.map(|each| each.into_iter().reduce(fold).unwrap_or(0.0))
+            };
+            let query = BoxPacket { origin: rays.origin, least: of(f32::min), most: of(f32::max) };
             dispatch!(self.level, simd => self.hierarchy.walk(simd, &query, f32::INFINITY, &mut rays));
-            rays.put(&mut found);
-        }
-        for i in (0..directions.len()).filter(|i| alone >> i & 1 == 1) {
-            found[i] = self.nearest(&Ray { origin, direction: directions[i] }, min_distance);
+            for (ray, number) in rays.rays.into_iter().zip(rays.numbers).take(rays.count) {
+                let beyond = |hit: TriangleHit| hit.distance.max(ray.low.next_up());
+                found[number] = ray.found.map(|hit| TriangleHit { distance: beyond(hit), ..hit });
+            }
         }
         found
     }
@@ -130,13 +127,9 @@ impl TriangleBvh {
         self.count(ray, min_distance, max_distance, 1) > 0
     }
 
-    /// How many triangles the ray crosses (a ray exactly through a shared edge crosses both triangles).
-    pub fn count_crossings(&self, ray: &Ray) -> usize {
-        self.count(ray, 0.0, f32::INFINITY, usize::MAX)
-    }
-
-    /// How many triangles are met at a distance in `(min_distance, max_distance)`; once they are `most`, no more are looked for.
-    fn count(&self, ray: &Ray, min_distance: f32, max_distance: f32, most: usize) -> usize {
+    /// How many triangles are met at a distance in `(min_distance, max_distance)`; once they are `most`, no more are looked for. A ray
+    /// exactly through a shared edge meets both triangles.
+    pub(super) fn count(&self, ray: &Ray, min_distance: f32, max_distance: f32, most: usize) -> usize {
         let Some((frame, query, skipped)) = self.prepare(ray) else { return 0 };
         let (low, high) = (min_distance - skipped, max_distance - skipped);
         let mut found = Count { frame: &frame, low, high, most, count: 0 };
@@ -153,8 +146,8 @@ impl TriangleBvh {
         let to_entry = (self.center - ray.origin).dot(ray.direction) - 2.0 * self.radius;
         let skipped = if to_entry > FAR_AWAY * self.radius { to_entry } else { 0.0 };
         let origin = ray.origin + ray.direction * skipped;
-        let query = origin.is_finite().then(|| BoxRay::new(origin.into(), ray.direction.into()))?;
-        Some((RayFrame::new(origin, ray.direction), query, skipped))
+        let query = BoxRay { origin: origin.to_array(), inverse: ray.direction.to_array().map(inverse) };
+        origin.is_finite().then(|| (RayFrame::new(origin, ray.direction), query, skipped))
     }
 }
 
@@ -263,35 +256,27 @@ impl RayFrame {
     /// The triangles of these bits, in f64, where products of two f32 are exact.
     #[cold]
     fn meet_edges(&self, leaf: &Leaf, on_edge: u64, hits: &mut LeafHits) {
-        for lane in (0..WIDTH).filter(|lane| on_edge >> lane & 1 == 1) {
-            if let Some((distance, weights)) = self.meet_edge(leaf.corners_of(lane)) {
-                hits.met |= 1 << lane;
-                hits.distances[lane] = distance;
-                hits.weights.iter_mut().zip(weights).for_each(|(each, weight)| each[lane] = weight);
-            }
-        }
-    }
-
-    fn meet_edge(&self, corners: [Vec3A; 3]) -> Option<(f32, [f32; 3])> {
         let [x, y, z] = self.axes;
-        let [a, b, c] = corners.map(|corner| {
-            let from_origin = corner - self.origin;
-            let depth = from_origin[z];
-            let sheared = [from_origin[x] - depth * self.shear[0], from_origin[y] - depth * self.shear[1]];
-            Vec3A::new(sheared[0], sheared[1], depth * self.shear[2])
-        });
         let cross =
             |p: Vec3A, q: Vec3A| (f64::from(p.x) * f64::from(q.y) - f64::from(p.y) * f64::from(q.x)) as f32;
-        let (u, v, w) = (cross(c, b), cross(a, c), cross(b, a));
-        if (u < 0.0 || v < 0.0 || w < 0.0) && (u > 0.0 || v > 0.0 || w > 0.0) {
-            return None;
+        for lane in (0..WIDTH).filter(|lane| on_edge >> lane & 1 == 1) {
+            let [a, b, c] = leaf.corners.map(|corner| {
+                let from_origin = Vec3A::from_array(corner.map(|each| each[lane])) - self.origin;
+                let depth = from_origin[z];
+                let [x, y] = [from_origin[x] - depth * self.shear[0], from_origin[y] - depth * self.shear[1]];
+                Vec3A::new(x, y, depth * self.shear[2])
+            });
+            let (u, v, w) = (cross(c, b), cross(a, c), cross(b, a));
+            let is_beside = (u < 0.0 || v < 0.0 || w < 0.0) && (u > 0.0 || v > 0.0 || w > 0.0);
+            let determinant = u + v + w;
+            if is_beside || determinant == 0.0 {
+                continue;
+            }
+            let weights = [u / determinant, v / determinant, w / determinant];
+            hits.met |= 1 << lane;
+            hits.distances[lane] = weights[0] * a.z + weights[1] * b.z + weights[2] * c.z;
+            hits.weights.iter_mut().zip(weights).for_each(|(each, weight)| each[lane] = weight);
         }
-        let determinant = u + v + w;
-        if determinant == 0.0 {
-            return None;
-        }
-        let weights = [u / determinant, v / determinant, w / determinant];
-        Some((weights[0] * a.z + weights[1] * b.z + weights[2] * c.z, weights))
     }
 }
 
@@ -321,20 +306,6 @@ impl LeafVisitor for Nearest {
     }
 }
 
-/// The directions, as bits, by the signs of their components; and those that are traced alone: those that are not finite, and all unless `together`.
-fn sides_of(directions: &[Vec3], together: bool) -> ([u32; 8], u32) {
-    assert!(directions.len() <= PACKET, "a packet has at most {PACKET} rays");
-    let (mut sides, mut alone) = ([0; 8], 0);
-    for (i, direction) in directions.iter().enumerate() {
-        if together && direction.is_finite() && *direction != Vec3::ZERO {
-            sides[direction.signum().cmplt(Vec3::ZERO).bitmask() as usize] |= 1 << i;
-        } else {
-            alone |= 1 << i;
-        }
-    }
-    (sides, alone)
-}
-
 /// Rays whose directions have the same signs.
 struct Packet {
     origin: [f32; 3],
@@ -358,32 +329,11 @@ impl Packet {
             numbers[count] = i;
             count += 1;
         }
-        let ray =
-            |direction| Nearest { frame: RayFrame::new(origin, direction), low: min_distance, found: None };
-        Self {
-            origin: origin.to_array(),
-            inverse: std::array::from_fn(|axis| numbers.map(|i| inverse(directions[i][axis]))),
-            limits: std::array::from_fn(|i| if i < count { f32::INFINITY } else { f32::NEG_INFINITY }),
-            rays: numbers.map(|i| ray(directions[i])),
-            numbers,
-            count,
-            entering: 0,
-        }
-    }
-
-    /// All of the rays, as boxes are tested against them.
-    fn boxes(&self) -> BoxPacket {
-        let of =
-            |fold: fn(f32, f32) -> f32| self.inverse.map(|each| each.into_iter().reduce(fold).unwrap_or(0.0));
-        BoxPacket { origin: self.origin, least: of(f32::min), most: of(f32::max) }
-    }
-
-    /// Writes what the rays have met to the places of their directions.
-    fn put(self, found: &mut [Option<TriangleHit>; PACKET]) {
-        for (ray, number) in self.rays.into_iter().zip(self.numbers).take(self.count) {
-            found[number] =
-                ray.found.map(|hit| TriangleHit { distance: hit.distance.max(ray.low.next_up()), ..hit });
-        }
+        let inverse = std::array::from_fn(|axis| numbers.map(|i| inverse(directions[i][axis])));
+        let limits = std::array::from_fn(|i| if i < count { f32::INFINITY } else { f32::NEG_INFINITY });
+        let frames = numbers.map(|i| RayFrame::new(origin, directions[i]));
+        let rays = frames.map(|frame| Nearest { frame, low: min_distance, found: None });
+        Self { origin: origin.to_array(), inverse, limits, rays, numbers, count, entering: 0 }
     }
 
     /// A bit for each ray that enters a box before it meets what it has met.
@@ -488,7 +438,7 @@ mod tests {
         let bvh = TriangleBvh::new(&mesh_of((0..20_000).map(|_| same)));
         let ray = Ray { origin: Vec3::new(0.2, 0.2, 1.0), direction: Vec3::NEG_Z };
         assert!((bvh.nearest(&ray, 0.0).unwrap().distance - 1.0).abs() < 1e-6);
-        assert_eq!(bvh.count_crossings(&ray), 20_000);
+        assert_eq!(bvh.count(&ray, 0.0, f32::INFINITY, usize::MAX), 20_000);
     }
 
     #[test]
@@ -496,24 +446,6 @@ mod tests {
         let mesh = crate::mesh::primitive::sphere_mesh(Vec3::ZERO, 1.0).unwrap();
         let (a, b) = (TriangleBvh::new(&mesh), TriangleBvh::new(&mesh));
         assert!(a.hierarchy == b.hierarchy);
-    }
-
-    #[test]
-    fn rays_with_negative_zeros_meet_what_lies_ahead() {
-        let at = |z: f32| [Vec3::new(-1.0, -1.0, z), Vec3::new(1.0, -1.0, z), Vec3::new(0.0, 1.0, z)];
-        let bvh = TriangleBvh::new(&mesh_of([at(0.0), at(-1.0)].into_iter()));
-        for direction in [Vec3::new(0.0, 0.0, -1.0), Vec3::new(-0.0, -0.0, -1.0)] {
-            let ray = Ray { origin: Vec3::new(0.1, 0.2, 1.0), direction };
-            assert_eq!(bvh.nearest(&ray, 0.0).map(|hit| hit.distance), Some(1.0));
-        }
-    }
-
-    #[test]
-    fn nothing_is_met_without_triangles() {
-        let bvh = TriangleBvh::new(&Mesh::default());
-        let ray = Ray { origin: Vec3::ZERO, direction: Vec3::X };
-        assert_eq!(bvh.nearest(&ray, 0.0), None);
-        assert!(!bvh.any(&ray, 0.0, f32::INFINITY));
     }
 
     #[test]
@@ -549,5 +481,7 @@ mod tests {
             assert_eq!(found, bvh.nearest(&Ray { origin, direction }, 0.0));
         }
         assert_eq!(found[5..], [None; PACKET - 5]);
+        let empty = TriangleBvh::new(&Mesh::default());
+        assert_eq!(empty.nearest(&Ray { origin, direction: Vec3::X }, 0.0), None);
     }
 }

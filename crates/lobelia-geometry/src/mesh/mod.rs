@@ -85,7 +85,7 @@ impl Surface {
         ];
         let odd = DIRECTIONS.into_iter().filter(|&direction| {
             let ray = Ray { origin: point, direction: Vec3::from(direction).normalize() };
-            self.bvh.count_crossings(&ray) % 2 == 1
+            self.bvh.count(&ray, 0.0, f32::INFINITY, usize::MAX) % 2 == 1
         });
         odd.count() >= 3
     }
@@ -101,18 +101,12 @@ impl Surface {
         let corners = self.mesh.triangles[triangle].map(|v| v as usize);
         let blend = |values: &[Vec3]| -> Vec3 { (0..3).map(|k| values[corners[k]] * found.weights[k]).sum() };
         let geometric_normal = self.geometric_normals[triangle];
-        let uv: Vec2 = match &self.mesh.uvs {
-            Some(uvs) => (0..3).map(|k| uvs[corners[k]] * found.weights[k]).sum(),
-            None => Vec2::ZERO,
-        };
-        Hit {
-            distance: found.distance,
-            position: blend(&self.mesh.positions),
-            normal: blend(&self.mesh.normals).try_normalize().unwrap_or(geometric_normal),
-            geometric_normal,
-            uv,
-            texels: address(uv, self.atlas.width, self.atlas.height),
-        }
+        let (position, normal) = (blend(&self.mesh.positions), blend(&self.mesh.normals));
+        let normal = normal.try_normalize().unwrap_or(geometric_normal);
+        let uvs = self.mesh.uvs.as_deref().unwrap_or_default();
+        let uv: Vec2 = (0..3).map(|k| uvs[corners[k]] * found.weights[k]).sum();
+        let texels = address(uv, self.atlas.width, self.atlas.height);
+        Hit { distance: found.distance, position, normal, geometric_normal, uv, texels }
     }
 }
 
@@ -153,15 +147,15 @@ fn check(mesh: &Mesh) -> std::result::Result<(), String> {
     if mesh.triangles.is_empty() {
         return Err("the mesh has no triangles".to_owned());
     }
-    let count = mesh.positions.len();
-    let finite = |v: usize| mesh.normals[v].is_finite() && uvs[v].is_finite();
-    if let Some(bad) = (0..count).find(|&vertex| !finite(vertex)) {
-        return Err(format!("vertex {bad} is not finite"));
-    }
-    let far = |v: usize| mesh.positions[v].abs().max_element() > MAX_COORDINATE;
-    if let Some(bad) = (0..count).find(|&vertex| far(vertex)) {
-        let at = mesh.positions[bad];
-        return Err(format!("vertex {bad} is at {at}: coordinates must be at most {MAX_COORDINATE:e}"));
+    for (vertex, at) in mesh.positions.iter().enumerate() {
+        if !(mesh.normals[vertex].is_finite() && uvs[vertex].is_finite()) {
+            return Err(format!("vertex {vertex} is not finite"));
+        }
+        if at.abs().max_element() > MAX_COORDINATE {
+            return Err(format!(
+                "vertex {vertex} is at {at}: coordinates must be at most {MAX_COORDINATE:e}"
+            ));
+        }
     }
     match (0..mesh.triangles.len()).find(|&t| mesh.is_degenerate(t)) {
         Some(bad) => Err(format!("triangle {bad} has no area (drop degenerate triangles first)")),

@@ -1,12 +1,10 @@
 //! The point of a mesh that is nearest to a given point, exactly, and the Chamfer distance between two surfaces.
 
-use crate::mesh::bvh::{TriangleHit, binary_hierarchy, bounding_sphere, leaf_boxes};
+use crate::mesh::bvh::{TriangleHit, binary_hierarchy};
 use crate::mesh::triangles::Mesh;
 use glam::{Vec3, Vec3A};
-use obvhs::aabb::Aabb;
-use obvhs::bvh2::Bvh2;
-use rand::rngs::SmallRng;
-use rand::{RngExt, SeedableRng};
+use obvhs::{aabb::Aabb, bvh2::Bvh2};
+use rand::{RngExt, SeedableRng, rngs::SmallRng};
 use rayon::prelude::*;
 
 /// A hierarchy over the triangles of a mesh, for nearest-point queries.
@@ -18,8 +16,7 @@ pub struct NearestTriangle {
 impl NearestTriangle {
     /// Builds the hierarchy; the same mesh gives the same one.
     pub fn new(mesh: &Mesh) -> Self {
-        let (center, radius) = bounding_sphere(mesh);
-        let bvh = binary_hierarchy(&leaf_boxes(mesh, center, radius));
+        let (bvh, ..) = binary_hierarchy(mesh);
         let corners = (0..mesh.triangles.len()).map(|t| mesh.corners(t).map(Vec3A::from)).collect();
         Self { bvh, corners }
     }
@@ -135,8 +132,7 @@ fn spread_points(mesh: &Mesh, count: usize, seed: u64) -> Option<Vec<Vec3>> {
 mod tests {
     use super::*;
     use crate::mesh::primitive::{box_mesh, sphere_mesh};
-    use rand::rngs::SmallRng;
-    use rand::{RngExt, SeedableRng};
+    use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
     fn random_point(rng: &mut SmallRng) -> Vec3 {
         Vec3::from_array(std::array::from_fn(|_| rng.random_range(-2.0..2.0)))

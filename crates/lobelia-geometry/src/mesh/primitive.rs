@@ -1,8 +1,7 @@
 //! Meshes of simple solids, with normals and texture coordinates that do not overlap.
 
-use crate::mesh::triangles::Mesh;
-use crate::{Error, Result};
-use glam::{Vec2, Vec3};
+use crate::{Error, Result, mesh::triangles::Mesh};
+use glam::{DVec3, Vec2, Vec3};
 
 /// Rows of a sphere from pole to pole; the surface is within 3e-4 of the radius.
 const SPHERE_ROWS: u32 = 96;
@@ -21,10 +20,8 @@ const BOX_GUTTER: f32 = 1.0 / 64.0;
 /// [`Error::Usage`] if the radius is not positive or something is not finite.
 pub fn sphere_mesh(center: Vec3, radius: f32) -> Result<Mesh> {
     if !(center.is_finite() && radius.is_finite() && radius > 0.0) {
-        return Err(Error::usage(
-            format!("a sphere of radius {radius} around {center} is not a surface"),
-            "the radius must be positive and all numbers finite",
-        ));
+        let problem = format!("a sphere of radius {radius} around {center} is not a surface");
+        return Err(Error::usage(problem, "the radius must be positive and all numbers finite"));
     }
     let mut mesh = Mesh { uvs: Some(Vec::new()), ..Mesh::default() };
     for row in 0..=SPHERE_ROWS {
@@ -32,14 +29,11 @@ pub fn sphere_mesh(center: Vec3, radius: f32) -> Result<Mesh> {
         for column in 0..=SPHERE_COLUMNS {
             // A pole has one vertex per column, in the middle of its triangle in u.
             let shift = if at_pole { 0.5 } else { 0.0 };
-            let uv = Vec2::new(
-                ((column as f32 + shift) / SPHERE_COLUMNS as f32).min(1.0),
-                row as f32 / SPHERE_ROWS as f32,
-            );
+            let u = ((column as f32 + shift) / SPHERE_COLUMNS as f32).min(1.0);
             let normal = sphere_direction(row, column);
             mesh.positions.push(center + normal * radius);
             mesh.normals.push(normal);
-            mesh.uvs.iter_mut().for_each(|uvs| uvs.push(uv));
+            mesh.uvs.iter_mut().for_each(|uvs| uvs.push(Vec2::new(u, row as f32 / SPHERE_ROWS as f32)));
         }
     }
     let vertex = |row, column| row * (SPHERE_COLUMNS + 1) + column;
@@ -61,16 +55,14 @@ pub fn sphere_mesh(center: Vec3, radius: f32) -> Result<Mesh> {
 /// The unit direction of grid point (`row`, `column`); first and last column, and all columns of a pole, are identical.
 fn sphere_direction(row: u32, column: u32) -> Vec3 {
     use std::f64::consts::PI;
-    if row == 0 {
-        return Vec3::Y;
-    }
-    if row == SPHERE_ROWS {
-        return Vec3::NEG_Y;
-    }
     let phi = PI * f64::from(row) / f64::from(SPHERE_ROWS);
     let theta = 2.0 * PI * f64::from(column % SPHERE_COLUMNS) / f64::from(SPHERE_COLUMNS) - PI / 2.0;
     let (sin, cos) = phi.sin_cos();
-    glam::DVec3::new(theta.cos() * sin, cos, theta.sin() * sin).as_vec3()
+    match row {
+        0 => Vec3::Y,
+        SPHERE_ROWS => Vec3::NEG_Y,
+        _ => DVec3::new(theta.cos() * sin, cos, theta.sin() * sin).as_vec3(),
+    }
 }
 
 /// An axis-aligned box with flat normals: one chart per face, three by two, each with a gutter of 1/64 on all sides.
@@ -81,10 +73,8 @@ fn sphere_direction(row: u32, column: u32) -> Vec3 {
 /// [`Error::Usage`] if a side is not positive or something is not finite.
 pub fn box_mesh(center: Vec3, size: Vec3) -> Result<Mesh> {
     if !(center.is_finite() && size.is_finite() && size.min_element() > 0.0) {
-        return Err(Error::usage(
-            format!("a box of size {size} around {center} is not a surface"),
-            "all three sides must be positive and all numbers finite",
-        ));
+        let problem = format!("a box of size {size} around {center} is not a surface");
+        return Err(Error::usage(problem, "all three sides must be positive and all numbers finite"));
     }
     let mut mesh = Mesh { uvs: Some(Vec::new()), ..Mesh::default() };
     // Right and down as seen from outside, so that right × down points inward.
@@ -124,7 +114,7 @@ pub fn ball_over_plate(thickness: f32, height: f32, radius: f32) -> Mesh {
     mesh.triangles.extend(ball.triangles.iter().map(|t| t.map(|v| v + offset)));
     let uvs = mesh.uvs.as_mut().unwrap();
     uvs.iter_mut().for_each(|uv| uv.x *= 0.5);
-    uvs.extend(ball.uvs.unwrap().iter().map(|uv| glam::Vec2::new(0.5 + 0.5 * uv.x, uv.y)));
+    uvs.extend(ball.uvs.unwrap().iter().map(|uv| Vec2::new(0.5 + 0.5 * uv.x, uv.y)));
     mesh
 }
 
@@ -180,13 +170,10 @@ mod tests {
         assert!(is_closed(&mesh));
         assert!(all_faces_point_outwards(&mesh, center));
         assert_eq!(mesh.bounds(), Some((center - size / 2.0, center + size / 2.0)));
-        let charts: Vec<(Vec2, Vec2)> = mesh
-            .uvs
-            .as_ref()
-            .unwrap()
-            .chunks(4)
-            .map(|uv| uv.iter().fold((uv[0], uv[0]), |(low, high), &p| (low.min(p), high.max(p))))
-            .collect();
+        let uvs = mesh.uvs.as_ref().unwrap();
+        let around =
+            |uv: &[Vec2]| uv.iter().fold((uv[0], uv[0]), |(low, high), &p| (low.min(p), high.max(p)));
+        let charts: Vec<(Vec2, Vec2)> = uvs.chunks(4).map(around).collect();
         for (i, a) in charts.iter().enumerate() {
             assert!(a.0.min_element() >= BOX_GUTTER && a.1.max_element() <= 1.0 - BOX_GUTTER + 1e-6);
             for b in &charts[..i] {
@@ -196,7 +183,7 @@ mod tests {
         }
         // Mirrored charts would flip a texture: u × v must point out of the surface (v is down, so into it).
         for t in &mesh.triangles {
-            let uv = t.map(|v| mesh.uvs.as_ref().unwrap()[v as usize]);
+            let uv = t.map(|v| uvs[v as usize]);
             assert!((uv[1] - uv[0]).perp_dot(uv[2] - uv[0]) < 0.0);
         }
     }

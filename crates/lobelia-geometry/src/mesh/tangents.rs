@@ -4,8 +4,7 @@
 //! The frame of a point is (t, b, n): n the interpolated normal, t the interpolated tangent toward growing u, b = w (n × t), which points
 //! toward falling v, the top of the picture. A normal map holds normals in that frame, whose z is along n.
 
-use crate::mesh::atlas::TexelAtlas;
-use crate::mesh::triangles::Mesh;
+use crate::{mesh::atlas::TexelAtlas, mesh::triangles::Mesh};
 use bevy_mikktspace::{Geometry, TangentSpace, generate_tangents};
 use glam::{Mat3, Vec2, Vec3, Vec4};
 
@@ -123,9 +122,7 @@ mod tests {
     #[test]
     fn tangents_of_a_vertex_are_weighted_by_angle() {
         let mesh = Mesh {
-            positions: [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 1.0]]
-                .map(|[x, y]| Vec3::new(x, y, 0.0))
-                .to_vec(),
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Y - Vec3::X],
             normals: vec![Vec3::Z; 4],
             uvs: Some([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]].map(Vec2::from).to_vec()),
             triangles: vec![[0, 1, 2], [0, 2, 3]],
@@ -157,11 +154,8 @@ mod tests {
         let mesh = unwrap_mesh(&box_mesh(Vec3::ZERO, Vec3::ONE).unwrap(), 64).unwrap().mesh;
         let atlas = TexelAtlas::new(&mesh, 64, 64);
         let frames = texel_frames(&mesh, &vertex_tangents(&mesh), &atlas);
-        let bent: Vec<Vec3> = atlas
-            .normal
-            .iter()
-            .map(|normal| (*normal + Vec3::new(0.3, 0.2, -0.1)).normalize_or_zero())
-            .collect();
+        let bend = |normal: &Vec3| (*normal + Vec3::new(0.3, 0.2, -0.1)).normalize_or_zero();
+        let bent: Vec<Vec3> = atlas.normal.iter().map(bend).collect();
         let relative = relative_normals(&frames, &bent);
         for row in (0..bent.len()).filter(|row| atlas.covered[*row]) {
             assert!((frames[row] * relative[row]).distance(bent[row]) < 1e-5);

@@ -2,10 +2,8 @@
 
 use super::*;
 use primitive::{box_mesh, sphere_mesh};
-use rand::rngs::StdRng;
-use rand::{RngExt, SeedableRng};
-use std::collections::HashMap;
-use std::f32::consts::TAU;
+use rand::{RngExt, SeedableRng, rngs::StdRng};
+use std::{collections::HashMap, f32::consts::TAU};
 
 fn unit_vector(rng: &mut StdRng) -> Vec3 {
     let z = rng.random_range(-1.0f32..1.0);
@@ -29,24 +27,20 @@ fn triangle_soup(rng: &mut StdRng, count: u32) -> Mesh {
     mesh
 }
 
-/// Nearest distance by Möller–Trumbore in f64 over all triangles, and the distance of the second nearest.
-fn brute_force(mesh: &Mesh, ray: &Ray, min_distance: f64) -> Vec<(f64, usize)> {
+/// The nearest distance and triangle, by Möller–Trumbore in f64 over all of them.
+fn brute_force(mesh: &Mesh, ray: &Ray, min_distance: f64) -> Option<(f64, usize)> {
     let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
-    let mut hits: Vec<(f64, usize)> = (0..mesh.triangles.len())
-        .filter_map(|t| {
-            let [a, b, c] = mesh.corners(t).map(|p| p.as_dvec3());
-            let p = direction.cross(c - a);
-            let determinant = (b - a).dot(p);
-            let u = (origin - a).dot(p) / determinant;
-            let q = (origin - a).cross(b - a);
-            let v = direction.dot(q) / determinant;
-            let distance = (c - a).dot(q) / determinant;
-            let hit = u >= 0.0 && v >= 0.0 && u + v <= 1.0 && distance > min_distance;
-            hit.then_some((distance, t))
-        })
-        .collect();
-    hits.sort_by(|a, b| a.0.total_cmp(&b.0));
-    hits
+    let hit = |t: usize| {
+        let [a, b, c] = mesh.corners(t).map(|p| p.as_dvec3());
+        let p = direction.cross(c - a);
+        let determinant = (b - a).dot(p);
+        let u = (origin - a).dot(p) / determinant;
+        let q = (origin - a).cross(b - a);
+        let v = direction.dot(q) / determinant;
+        let distance = (c - a).dot(q) / determinant;
+        (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && distance > min_distance).then_some((distance, t))
+    };
+    (0..mesh.triangles.len()).filter_map(hit).min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
 #[test]
@@ -62,16 +56,14 @@ fn rays_agree_with_brute_force() {
         let ray = Ray { origin, direction: (target - origin).normalize() };
         let min_distance = if k % 2 == 0 { 0.0 } else { 0.3 };
         let expected = brute_force(&soup, &ray, f64::from(min_distance));
-        match (surface.intersect(&ray, min_distance), expected.first()) {
+        match (surface.intersect(&ray, min_distance), expected) {
             (None, None) => assert!(!surface.occluded(&ray, min_distance, f32::INFINITY)),
-            (Some(hit), Some(&(distance, triangle)))
+            (Some(hit), Some((distance, triangle)))
                 if (f64::from(hit.distance) - distance).abs() < 2e-5 * (1.0 + distance) =>
             {
                 hits += 1;
-                assert!(
-                    (hit.position - ray.origin - ray.direction * hit.distance).length()
-                        < 2e-5 * (1.0 + hit.distance)
-                );
+                let off = hit.position.distance(ray.origin + ray.direction * hit.distance);
+                assert!(off < 2e-5 * (1.0 + hit.distance));
                 assert_eq!(hit.geometric_normal, soup.geometric_normal(triangle));
                 assert!(surface.occluded(&ray, min_distance, hit.distance * 1.001));
                 if hit.distance > min_distance * 1.01 + 0.01 {
@@ -165,9 +157,8 @@ fn axis_parallel_rays_hit_flat_boxes() {
             assert_eq!(hit.normal, Vec3::Z);
         }
     }
-    assert!(
-        surface.intersect(&Ray { origin: Vec3::new(1.01, 0.0, 5.0), direction: Vec3::NEG_Z }, 0.0).is_none()
-    );
+    let beside = Ray { origin: Vec3::new(1.01, 0.0, 5.0), direction: Vec3::NEG_Z };
+    assert!(surface.intersect(&beside, 0.0).is_none());
     // The far side, by starting beyond the near one.
     let through = Ray { origin: Vec3::new(0.2, 0.1, 5.0), direction: Vec3::NEG_Z };
     assert!((surface.intersect(&through, 4.9998).unwrap().distance - 5.0005).abs() < 1e-5);
@@ -295,19 +286,14 @@ pub(crate) fn scattered(count: u32) -> Mesh {
     mesh
 }
 
-/// How many triangles run along each edge in each direction; vertices at one position are one.
-pub(crate) fn directed_edges(mesh: &Mesh) -> HashMap<[u32; 2], u32> {
+/// Whether each edge has one triangle on either side; vertices at one position are one.
+pub(crate) fn is_closed(mesh: &Mesh) -> bool {
     let weld = mesh.welded_vertices();
+    // How many triangles run along each edge in each direction.
     let mut edges = HashMap::new();
     for triangle in &mesh.triangles {
         let [a, b, c] = triangle.map(|v| weld[v as usize]);
         [[a, b], [b, c], [c, a]].into_iter().for_each(|edge| *edges.entry(edge).or_insert(0) += 1);
     }
-    edges
-}
-
-/// Whether each edge has one triangle on either side.
-pub(crate) fn is_closed(mesh: &Mesh) -> bool {
-    let edges = directed_edges(mesh);
     edges.iter().all(|([a, b], count)| *count == 1 && edges.get(&[*b, *a]) == Some(&1))
 }

@@ -77,9 +77,8 @@ impl Mesh {
                 sums[weld[vertex as usize] as usize] += face;
             }
         }
-        weld.iter()
-            .map(|&vertex| sums[vertex as usize].try_normalize().unwrap_or(DVec3::Y).as_vec3())
-            .collect()
+        let unit = |&vertex: &u32| sums[vertex as usize].try_normalize().unwrap_or(DVec3::Y).as_vec3();
+        weld.iter().map(unit).collect()
     }
 
     /// Replaces zero, non-finite and missing normals by smooth ones and normalizes the rest.
@@ -106,12 +105,10 @@ impl Mesh {
     /// For each vertex, the first vertex at the identical position (−0 equals 0).
     pub fn welded_vertices(&self) -> Vec<u32> {
         let mut first_at = HashMap::with_capacity(self.positions.len());
-        (0..self.positions.len() as u32)
-            .map(|vertex| {
-                let key = (self.positions[vertex as usize] + Vec3::ZERO).to_array().map(f32::to_bits);
-                *first_at.entry(key).or_insert(vertex)
-            })
-            .collect()
+        let first = |(vertex, at): (u32, &Vec3)| {
+            *first_at.entry((*at + Vec3::ZERO).to_array().map(f32::to_bits)).or_insert(vertex)
+        };
+        (0..).zip(&self.positions).map(first).collect()
     }
 
     /// Checks that each vertex has all its values and a finite position, and that each triangle names such vertices; the error is

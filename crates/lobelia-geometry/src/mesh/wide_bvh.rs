@@ -3,9 +3,8 @@
 //!
 //! Source: Wald, Benthin and Boulos, "Getting Rid of Packets" (2008): wide nodes by opening the largest children of a binary hierarchy.
 
-use fearless_simd::prelude::*;
-use fearless_simd::{Simd, f32x8};
-use glam::Vec3A;
+use crate::mesh::triangles::Mesh;
+use fearless_simd::{Simd, f32x8, prelude::*};
 use obvhs::bvh2::Bvh2;
 
 /// Children of a node, and triangles of a leaf.
@@ -51,13 +50,6 @@ pub(super) struct Leaf {
     pub around: BoxCorners,
 }
 
-impl Leaf {
-    /// The corners of one triangle.
-    pub fn corners_of(&self, lane: usize) -> [Vec3A; 3] {
-        self.corners.map(|corner| Vec3A::from_array(corner.map(|each| each[lane])))
-    }
-}
-
 /// The hierarchy.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct WideBvh {
@@ -73,15 +65,9 @@ pub(super) trait BoxRays {
 
 /// A ray as boxes are tested against it.
 pub(super) struct BoxRay {
-    origin: [f32; 3],
-    inverse: [f32; 3],
-}
-
-impl BoxRay {
-    /// A ray of this origin and direction, which are finite.
-    pub fn new(origin: Vec3A, direction: Vec3A) -> Self {
-        Self { origin: origin.to_array(), inverse: direction.to_array().map(inverse) }
-    }
+    pub origin: [f32; 3],
+    /// Inverse components of the direction ([`inverse`]).
+    pub inverse: [f32; 3],
 }
 
 /// The inverse of a direction's component, finite.
@@ -166,14 +152,30 @@ impl Waiting {
 }
 
 impl WideBvh {
-    /// From a binary hierarchy over triangles with these corners.
-    pub fn new(binary: &Bvh2, corners: &dyn Fn(usize) -> [Vec3A; 3]) -> Self {
+    /// From a binary hierarchy over the triangles of a mesh.
+    pub fn new(binary: &Bvh2, mesh: &Mesh) -> Self {
         if binary.nodes.is_empty() || binary.primitive_indices.is_empty() {
             return Self::default();
         }
-        let mut builder = Builder { binary, counts: triangle_counts(binary), corners, wide: Self::default() };
-        builder.build();
-        builder.wide
+        let mut builder = Builder { binary, counts: triangle_counts(binary), mesh, leaves: Vec::new() };
+        let (mut nodes, mut open) = (vec![Node::EMPTY], vec![(0, 0)]);
+        while let Some((index, place)) = open.pop() {
+            let mut node = Node { around: builder.around(index), ..Node::EMPTY };
+            for (k, child) in builder.children(index).into_iter().enumerate() {
+                for (bounds, corner) in node.bounds.iter_mut().zip(builder.around(child)) {
+                    bounds.iter_mut().zip(corner).for_each(|(each, c)| each[k] = c);
+                }
+                node.children[k] = if builder.is_leaf(child) {
+                    builder.leaf(child)
+                } else {
+                    open.push((child, nodes.len()));
+                    nodes.push(Node::EMPTY);
+                    nodes.len() as u32 - 1
+                };
+            }
+            nodes[place] = node;
+        }
+        Self { nodes, leaves: builder.leaves }
     }
 
     /// Visits the leaves whose boxes the rays enter before `limit`, near ones first.
@@ -238,35 +240,13 @@ fn triangle_counts(binary: &Bvh2) -> Vec<u32> {
 struct Builder<'a> {
     binary: &'a Bvh2,
     counts: Vec<u32>,
-    corners: &'a dyn Fn(usize) -> [Vec3A; 3],
-    wide: WideBvh,
+    mesh: &'a Mesh,
+    leaves: Vec<Leaf>,
 }
 
 impl Builder<'_> {
     fn is_leaf(&self, index: usize) -> bool {
         self.counts[index] as usize <= WIDTH || self.binary.nodes[index].is_leaf()
-    }
-
-    fn build(&mut self) {
-        self.wide.nodes.push(Node::EMPTY);
-        let mut open = vec![(0, 0)];
-        while let Some((index, place)) = open.pop() {
-            let mut node = Node { around: self.around(index), ..Node::EMPTY };
-            for (k, child) in self.children(index).into_iter().enumerate() {
-                let aabb = self.binary.nodes[child].aabb();
-                for (bounds, corner) in node.bounds.iter_mut().zip([aabb.min, aabb.max]) {
-                    bounds.iter_mut().zip(corner.to_array()).for_each(|(each, c)| each[k] = c);
-                }
-                node.children[k] = if self.is_leaf(child) {
-                    self.leaf(child)
-                } else {
-                    self.wide.nodes.push(Node::EMPTY);
-                    open.push((child, self.wide.nodes.len() - 1));
-                    self.wide.nodes.len() as u32 - 1
-                };
-            }
-            self.wide.nodes[place] = node;
-        }
     }
 
     /// Up to eight nodes that cover what is below a node: its largest children are opened.
@@ -275,9 +255,8 @@ impl Builder<'_> {
         while children.len() < WIDTH {
             let area = |child: usize| self.binary.nodes[child].aabb().half_area();
             let inner = (0..children.len()).filter(|k| !self.is_leaf(children[*k]));
-            let Some(k) = inner.max_by(|a, b| area(children[*a]).total_cmp(&area(children[*b]))) else {
-                break;
-            };
+            let largest = inner.max_by(|a, b| area(children[*a]).total_cmp(&area(children[*b])));
+            let Some(k) = largest else { break };
             let first = self.binary.nodes[children[k]].first_index as usize;
             children[k] = first;
             children.push(first + 1);
@@ -303,21 +282,16 @@ impl Builder<'_> {
                 open.extend([first + 1, first]);
             }
         }
-        debug_assert!(triangles.len() <= WIDTH, "leaves of the binary hierarchy have one triangle");
-        let mut leaf = Leaf {
-            corners: Default::default(),
-            triangles: [u32::MAX; WIDTH],
-            count: triangles.len() as u32,
-            around: self.around(index),
-        };
+        let (count, around) = (triangles.len() as u32, self.around(index));
+        let mut leaf = Leaf { corners: Default::default(), triangles: [u32::MAX; WIDTH], count, around };
         for (lane, triangle) in triangles.iter().enumerate() {
             leaf.triangles[lane] = *triangle;
-            for (of, corner) in leaf.corners.iter_mut().zip((self.corners)(*triangle as usize)) {
+            for (of, corner) in leaf.corners.iter_mut().zip(self.mesh.corners(*triangle as usize)) {
                 of.iter_mut().zip(corner.to_array()).for_each(|(each, c)| each[lane] = c);
             }
         }
-        self.wide.leaves.push(leaf);
-        LEAF | (self.wide.leaves.len() as u32 - 1)
+        self.leaves.push(leaf);
+        LEAF | (self.leaves.len() as u32 - 1)
     }
 }
 

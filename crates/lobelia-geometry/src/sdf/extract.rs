@@ -8,8 +8,7 @@
 
 use crate::mesh::triangles::{DisjointSets, Mesh, Side, sorted_sides};
 use crate::sdf::SdfGrid;
-use fast_surface_nets::ndshape::RuntimeShape;
-use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
+use fast_surface_nets::{SurfaceNetsBuffer, ndshape::RuntimeShape, surface_nets};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -27,32 +26,26 @@ pub fn extract_mesh(grid: &SdfGrid) -> Mesh {
 /// The connected components of the zero level, as [`extract_mesh`] has it, those with most triangles first.
 pub fn extract_components(grid: &SdfGrid) -> Vec<Mesh> {
     let shape = RuntimeShape::<u32, 3>::new([grid.side; 3]);
-    let mut values = grid.values.clone();
-    let last = grid.side - 1;
-    close_border(&mut values, grid.side as usize, 0.1 * grid.spacing);
+    let (mut values, side, last) = (grid.values.clone(), grid.side as usize, grid.side - 1);
+    // The border of the grid is raised to outside.
+    for (row, values) in values.chunks_exact_mut(side).enumerate() {
+        let is_border = [row % side, row / side].iter().any(|at| *at == 0 || *at == side - 1);
+        let step = if is_border { 1 } else { side - 1 };
+        values.iter_mut().step_by(step).for_each(|value| *value = value.max(0.1 * grid.spacing));
+    }
     let mut buffer = SurfaceNetsBuffer::default();
     surface_nets(&values, &shape, [0; 3], [last; 3], &mut buffer);
     let in_world = |p: &[f32; 3]| grid.origin + Vec3::from(*p) * grid.spacing;
-    let mut positions: Vec<Vec3> = buffer.positions.iter().map(in_world).collect();
-    let mut triangles: Vec<[u32; 3]> = buffer.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
-    let parted = make_manifold(&mut positions, &mut triangles, |p| grid.value(p) < 0.0);
-    let whole = positions.par_iter_mut().zip(&parted).filter(|(_, parted)| !**parted);
+    let positions = buffer.positions.iter().map(in_world).collect();
+    let triangles = buffer.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+    let mut mesh = Mesh { positions, triangles, ..Mesh::default() };
+    let parted = make_manifold(&mut mesh, |p| grid.value(p) < 0.0);
+    let whole = mesh.positions.par_iter_mut().zip(&parted).filter(|(_, parted)| !**parted);
     whole.for_each(|(position, _)| *position = project(grid, *position));
     let normal = |p: &Vec3| grid.gradient(*p).try_normalize().unwrap_or(Vec3::Y);
-    let normals = positions.par_iter().map(normal).collect();
-    let mut mesh = Mesh { positions, normals, uvs: None, triangles };
+    mesh.normals = mesh.positions.par_iter().map(normal).collect();
     mesh.drop_degenerate_triangles();
     components(&mesh)
-}
-
-/// Raises the values on the border of a grid to at least `least`.
-fn close_border(values: &mut [f32], side: usize, least: f32) {
-    let last = side - 1;
-    for (row, values) in values.chunks_exact_mut(side).enumerate() {
-        let is_border = [row % side, row / side].iter().any(|at| *at == 0 || *at == last);
-        let step = if is_border { 1 } else { last };
-        values.iter_mut().step_by(step).for_each(|value| *value = value.max(least));
-    }
 }
 
 /// A point projected onto the zero level, at most one cell away.
@@ -107,18 +100,14 @@ const CUTS: usize = 6;
 /// Makes a closed mesh a manifold. `is_solid` returns whether a point is inside.
 ///
 /// Returns which vertices are new or moved. Triangles keep their winding; unsplit triangles keep their order.
-pub fn make_manifold(
-    positions: &mut Vec<Vec3>,
-    triangles: &mut Vec<[u32; 3]>,
-    is_solid: impl Fn(Vec3) -> bool,
-) -> Vec<bool> {
-    let mut changed = part_fans(positions, triangles, &is_solid);
+fn make_manifold(mesh: &mut Mesh, is_solid: impl Fn(Vec3) -> bool) -> Vec<bool> {
+    let mut changed = part_fans(mesh, &is_solid);
     for _ in 0..CUTS {
-        if cut_edges(positions, triangles, &is_solid) == 0 {
+        if !cut_edges(mesh, &is_solid) {
             break;
         }
     }
-    changed.resize(positions.len(), true);
+    changed.resize(mesh.positions.len(), true);
     changed
 }
 
@@ -128,22 +117,20 @@ fn edges(sides: &[Side]) -> impl Iterator<Item = ([u32; 2], Vec<u32>)> {
     same.map(|same| (same[0].ends, same.iter().map(|side| side.triangle).collect()))
 }
 
-/// Splits edges with more than two triangles, at most one per triangle; returns the number of splits.
-fn cut_edges(
-    positions: &mut Vec<Vec3>,
-    triangles: &mut Vec<[u32; 3]>,
-    is_solid: &impl Fn(Vec3) -> bool,
-) -> usize {
-    let mut touched = vec![false; triangles.len()];
-    let mut cuts = 0;
-    for (edge, around) in edges(&sorted_sides(triangles)) {
+/// Splits edges with more than two triangles, at most one per triangle; whether there are any.
+fn cut_edges(mesh: &mut Mesh, is_solid: &impl Fn(Vec3) -> bool) -> bool {
+    let mut touched = vec![false; mesh.triangles.len()];
+    let mut any = false;
+    for (edge, around) in edges(&sorted_sides(&mesh.triangles)) {
         if around.len() < 3 || around.iter().any(|t| touched[*t as usize]) {
             continue;
         }
         around.iter().for_each(|t| touched[*t as usize] = true);
-        cuts += 1;
+        any = true;
+        let pairs = pairs(mesh, edge, &around, is_solid);
+        let Mesh { positions, triangles, .. } = &mut *mesh;
         let middle = 0.5 * (positions[edge[0] as usize] + positions[edge[1] as usize]);
-        for (a, b) in pairs(positions, triangles, edge, &around, is_solid) {
+        for (a, b) in pairs {
             let opposite = |t: u32| triangles[t as usize].iter().find(|v| !edge.contains(v));
             let beside: Vec<Vec3> =
                 [a, b].into_iter().filter_map(opposite).map(|v| positions[*v as usize]).collect();
@@ -156,79 +143,36 @@ fn cut_edges(
             }
         }
     }
-    cuts
+    any
 }
 
-/// Gives every fan of triangles around a vertex its own vertex.
-fn part_fans(
-    positions: &mut Vec<Vec3>,
-    triangles: &mut [[u32; 3]],
-    is_solid: &impl Fn(Vec3) -> bool,
-) -> Vec<bool> {
-    // Groups of connected triangle corners: 3 t + k.
-    let mut groups = DisjointSets::new(3 * triangles.len());
-    for (edge, around) in edges(&sorted_sides(triangles)) {
-        for (a, b) in pairs(positions, triangles, edge, &around, is_solid) {
+/// Gives every fan of triangles around a vertex its own vertex: a group of connected corners; the first group of a vertex keeps it.
+fn part_fans(mesh: &mut Mesh, is_solid: &impl Fn(Vec3) -> bool) -> Vec<bool> {
+    // Groups of corners 3 t + k.
+    let corner = |t: u32, vertex: u32| {
+        let k = mesh.triangles[t as usize].iter().position(|v| *v == vertex);
+        3 * t + k.expect("an edge's triangle has its ends") as u32
+    };
+    let mut groups = DisjointSets::new(3 * mesh.triangles.len());
+    for (edge, around) in edges(&sorted_sides(&mesh.triangles)) {
+        for (a, b) in pairs(mesh, edge, &around, is_solid) {
             for vertex in edge {
-                groups.join(corner(triangles, a, vertex), corner(triangles, b, vertex));
+                groups.join(corner(a, vertex), corner(b, vertex));
             }
         }
     }
-    separate(positions, triangles, groups)
-}
-
-/// The corner of a triangle that is at a vertex.
-fn corner(triangles: &[[u32; 3]], triangle: u32, vertex: u32) -> u32 {
-    let k = triangles[triangle as usize].iter().position(|v| *v == vertex);
-    3 * triangle + k.expect("an edge's triangle has its ends") as u32
-}
-
-/// The pairs of triangles at an edge.
-fn pairs(
-    positions: &[Vec3],
-    triangles: &[[u32; 3]],
-    edge: [u32; 2],
-    around: &[u32],
-    is_solid: &impl Fn(Vec3) -> bool,
-) -> Vec<(u32, u32)> {
-    if let [a, b] = *around {
-        return vec![(a, b)];
-    }
-    let ends = edge.map(|v| positions[v as usize]);
-    let (middle, axis) = (0.5 * (ends[0] + ends[1]), (ends[1] - ends[0]).normalize_or_zero());
-    let first = axis.any_orthonormal_vector();
-    let second = axis.cross(first);
-    let mut turned: Vec<(f32, u32, bool)> = around
-        .iter()
-        .map(|&t| {
-            let [a, b, c] = triangles[t as usize].map(|v| positions[v as usize]);
-            let (out, normal) = ((a + b + c) / 3.0 - middle, (b - a).cross(c - a));
-            // Whether the next sector around the edge is on the inside of this triangle.
-            (out.dot(second).atan2(out.dot(first)), t, normal.dot(axis.cross(out)) < 0.0)
-        })
-        .collect();
-    turned.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    // If the midpoint is inside, sheets are paired around the outside, which keeps the solid connected.
-    let around_solid = !is_solid(middle);
-    let n = turned.len();
-    let start = (0..n).find(|&i| turned[i].2 == around_solid).unwrap_or(0);
-    (0..n / 2).map(|i| (turned[(start + 2 * i) % n].1, turned[(start + 2 * i + 1) % n].1)).collect()
-}
-
-/// A vertex for every group of corners; the first group of a vertex keeps it.
-fn separate(positions: &mut Vec<Vec3>, triangles: &mut [[u32; 3]], mut groups: DisjointSets) -> Vec<bool> {
+    let Mesh { positions, triangles, .. } = mesh;
     // Each corner after the first of its group, which is its root.
     let mut corners: Vec<[u32; 2]> = (0..3 * triangles.len() as u32).map(|c| [groups.root(c), c]).collect();
     corners.par_sort_unstable();
     let fans = || corners.chunk_by(|a, b| a[0] == b[0]);
-    let vertex = |triangles: &[[u32; 3]], c: u32| triangles[c as usize / 3][c as usize % 3];
+    let (old, old_triangles) = (positions.clone(), triangles.clone());
+    let vertex = |fan: &[[u32; 2]]| old_triangles[fan[0][0] as usize / 3][fan[0][0] as usize % 3] as usize;
     let mut count = vec![0u32; positions.len()];
-    fans().for_each(|fan| count[vertex(triangles, fan[0][0]) as usize] += 1);
-    let (old, old_triangles) = (positions.clone(), triangles.to_vec());
-    let mut kept = vec![false; positions.len()];
+    fans().for_each(|fan| count[vertex(fan)] += 1);
     let mut changed = vec![false; positions.len()];
     for fan in fans() {
-        let from = vertex(&old_triangles, fan[0][0]) as usize;
+        let from = vertex(fan);
         if count[from] < 2 {
             continue;
         }
@@ -237,15 +181,39 @@ fn separate(positions: &mut Vec<Vec3>, triangles: &mut [[u32; 3]], mut groups: D
         let around: Vec<Vec3> = others.filter(|v| *v as usize != from).map(|v| old[v as usize]).collect();
         let middle = around.iter().sum::<Vec3>() / around.len() as f32;
         let place = old[from].lerp(middle, APART);
-        if kept[from] {
+        if changed[from] {
             corners().for_each(|c| triangles[c / 3][c % 3] = positions.len() as u32);
             positions.push(place);
             changed.push(true);
         } else {
-            (kept[from], changed[from], positions[from]) = (true, true, place);
+            (changed[from], positions[from]) = (true, place);
         }
     }
     changed
+}
+
+/// The pairs of triangles at an edge.
+fn pairs(mesh: &Mesh, edge: [u32; 2], around: &[u32], is_solid: &impl Fn(Vec3) -> bool) -> Vec<(u32, u32)> {
+    if let [a, b] = *around {
+        return vec![(a, b)];
+    }
+    let ends = edge.map(|v| mesh.positions[v as usize]);
+    let (middle, axis) = (0.5 * (ends[0] + ends[1]), (ends[1] - ends[0]).normalize_or_zero());
+    let first = axis.any_orthonormal_vector();
+    let second = axis.cross(first);
+    let turn = |&t: &u32| {
+        let [a, b, c] = mesh.corners(t as usize);
+        let (out, normal) = ((a + b + c) / 3.0 - middle, (b - a).cross(c - a));
+        // Whether the next sector around the edge is on the inside of this triangle.
+        (out.dot(second).atan2(out.dot(first)), t, normal.dot(axis.cross(out)) < 0.0)
+    };
+    let mut turned: Vec<(f32, u32, bool)> = around.iter().map(turn).collect();
+    turned.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    // If the midpoint is inside, sheets are paired around the outside, which keeps the solid connected.
+    let around_solid = !is_solid(middle);
+    let n = turned.len();
+    let start = (0..n).find(|&i| turned[i].2 == around_solid).unwrap_or(0);
+    (0..n / 2).map(|i| (turned[(start + 2 * i) % n].1, turned[(start + 2 * i + 1) % n].1)).collect()
 }
 
 #[cfg(test)]
@@ -285,14 +253,8 @@ mod tests {
             assert!(n.dot(p.normalize()) > 0.99);
         }
         // Closed and oriented outward: the sum of position · face normal gives the volume.
-        let volume: f32 = mesh
-            .triangles
-            .iter()
-            .map(|t| {
-                let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
-                a.dot(b.cross(c)) / 6.0
-            })
-            .sum();
+        let part = |[a, b, c]: [Vec3; 3]| a.dot(b.cross(c)) / 6.0;
+        let volume: f32 = (0..mesh.triangles.len()).map(|t| part(mesh.corners(t))).sum();
         assert!((volume - 4.0 / 3.0 * std::f32::consts::PI * 0.216).abs() < 0.01, "{volume}");
     }
 
@@ -326,7 +288,7 @@ mod tests {
         for solid in [false, true] {
             let mut mesh = cubes(&[[0, 0, 0], [1, 1, 0]]);
             assert!(!is_closed(&mesh));
-            let changed = make_manifold(&mut mesh.positions, &mut mesh.triangles, |_| solid);
+            let changed = make_manifold(&mut mesh, |_| solid);
             // Apart, each end of the edge becomes two; joined, the edge gets two middles.
             assert_eq!((mesh.positions.len(), mesh.triangles.len()), if solid { (16, 28) } else { (16, 24) });
             assert!(is_closed(&mesh));
@@ -338,7 +300,7 @@ mod tests {
     fn cubes_that_touch_in_a_corner_are_parted() {
         let mut mesh = cubes(&[[0, 0, 0], [1, 1, 1]]);
         assert_eq!(mesh.positions.len(), 15);
-        make_manifold(&mut mesh.positions, &mut mesh.triangles, |_| true);
+        make_manifold(&mut mesh, |_| true);
         assert_eq!(mesh.positions.len(), 16);
         assert_eq!(mesh.positions.iter().filter(|p| p.fract() != Vec3::ZERO).count(), 2);
     }
@@ -347,7 +309,7 @@ mod tests {
     fn a_manifold_stays_as_it_is() {
         let before = cubes(&[[0, 0, 0]]);
         let mut after = before.clone();
-        assert!(make_manifold(&mut after.positions, &mut after.triangles, |_| true).iter().all(|c| !c));
+        assert!(make_manifold(&mut after, |_| true).iter().all(|c| !c));
         assert_eq!(after, before);
     }
 }

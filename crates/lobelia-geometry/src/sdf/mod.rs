@@ -43,15 +43,8 @@ impl SdfGrid {
         let side = cells + 1;
         let spacing = 2.0 * half_side / cells as f32;
         let mut grid = Self { side, origin: center - Vec3::splat(half_side), spacing, values: Vec::new() };
-        let slab = (side * side) as usize;
-        let mut values = vec![0.0; slab * side as usize];
-        values.par_chunks_mut(slab).enumerate().for_each(|(z, slab)| {
-            for (i, out) in slab.iter_mut().enumerate() {
-                let (x, y) = (i as u32 % side, i as u32 / side);
-                *out = value(grid.position(UVec3::new(x, y, z as u32)));
-            }
-        });
-        grid.values = values;
+        let at = |i: usize| value(grid.position(grid.vertex(i)));
+        grid.values = (0..side as usize * (side * side) as usize).into_par_iter().map(at).collect();
         grid
     }
 
@@ -86,11 +79,6 @@ impl SdfGrid {
     #[inline]
     pub fn corners(&self, point: Vec3) -> [(usize, f32); 8] {
         let (cell, t) = self.cell(point);
-        self.corners_of(cell, t)
-    }
-
-    #[inline]
-    fn corners_of(&self, cell: UVec3, t: Vec3) -> [(usize, f32); 8] {
         let (first, side) = (self.index(cell), self.side as usize);
         let s = Vec3::ONE - t;
         let (low, high) = (s.y * s.z, t.y * s.z);
@@ -139,8 +127,7 @@ impl SdfGrid {
 
     /// The vertices' central differences, interpolated: continuous, unlike the gradient of the trilinear value.
     pub fn gradient(&self, point: Vec3) -> Vec3 {
-        let (cell, t) = self.cell(point);
-        let corners = self.corners_of(cell, t);
+        let (cell, _) = self.cell(point);
         let interior = cell.min_element() > 0 && cell.max_element() + 2 < self.side;
         let at_vertex = |row: usize| {
             if !interior {
@@ -150,7 +137,7 @@ impl SdfGrid {
             let difference = |stride: usize| v[row + stride] - v[row - stride];
             Vec3::new(difference(1), difference(side), difference(side * side)) * (0.5 / self.spacing)
         };
-        corners.iter().map(|(row, weight)| at_vertex(*row) * *weight).sum()
+        self.corners(point).into_iter().map(|(row, weight)| at_vertex(row) * weight).sum()
     }
 
     /// The values, replaced by `value` of their indices. `most` gets the center and the radius of the ball around a block: where it gives a
@@ -164,34 +151,22 @@ impl SdfGrid {
         let mut values = self.values.clone();
         let layers = values.par_chunks_mut(plane * BLOCK as usize).enumerate();
         layers.for_each(|(layer, part)| {
-            let first = layer * BLOCK as usize * plane;
-            for block in self.blocks_of_layer(layer as u32) {
-                let (low, high) = (self.position(block.0), self.position(block.1 - UVec3::ONE));
-                let most = most(0.5 * (low + high), 0.5 * low.distance(high));
-                let replaced =
-                    |row: usize| most.map_or_else(|| value(row), |most| self.values[row].min(most));
-                self.rows_of(block).for_each(|row| part[row - first] = replaced(row));
+            let (first, count) = (layer * BLOCK as usize * plane, self.side.div_ceil(BLOCK));
+            for i in 0..count * count {
+                let low = BLOCK * UVec3::new(i % count, i / count, layer as u32);
+                let end = (low + BLOCK).min(UVec3::splat(self.side));
+                let (near, far) = (self.position(low), self.position(end - UVec3::ONE));
+                let most = most(0.5 * (near + far), 0.5 * near.distance(far));
+                for (y, z) in (low.z..end.z).flat_map(|z| (low.y..end.y).map(move |y| (y, z))) {
+                    let line = self.index(UVec3::new(low.x, y, z));
+                    for row in line..line + (end.x - low.x) as usize {
+                        part[row - first] =
+                            most.map_or_else(|| value(row), |most| self.values[row].min(most));
+                    }
+                }
             }
         });
         values
-    }
-
-    /// The lowest vertices of the blocks of a layer, and those beyond their highest.
-    fn blocks_of_layer(&self, layer: u32) -> impl Iterator<Item = (UVec3, UVec3)> + use<> {
-        let (side, count) = (self.side, self.side.div_ceil(BLOCK));
-        (0..count * count).map(move |i| {
-            let low = BLOCK * UVec3::new(i % count, i / count, layer);
-            (low, (low + BLOCK).min(UVec3::splat(side)))
-        })
-    }
-
-    /// The indices of a block's vertices.
-    fn rows_of(&self, (low, high): (UVec3, UVec3)) -> impl Iterator<Item = usize> {
-        let lines = (low.z..high.z).flat_map(move |z| (low.y..high.y).map(move |y| (y, z)));
-        lines.flat_map(move |(y, z)| {
-            let first = self.index(UVec3::new(low.x, y, z));
-            first..first + (high.x - low.x) as usize
-        })
     }
 }
 

@@ -45,19 +45,9 @@ impl SdfGrid {
     /// The distances of the vertices to the zero level, up to `reach` and a cell beyond it; infinite farther away.
     fn solved_within(&self, reach: f32) -> Vec<f32> {
         let sweeps = Sweeps::new(self, reach);
-        (0..8 * ROUNDS).take_while(|_| !sweeps.is_done()).for_each(|round| sweeps.sweep(round % 8));
+        let is_open = |_: &usize| sweeps.open_rows.iter().any(|row| row.load(Relaxed));
+        (0..8 * ROUNDS).take_while(is_open).for_each(|round| sweeps.sweep(round % 8));
         sweeps.distance.into_par_iter().map(|bits| f32::from_bits(bits.into_inner())).collect()
-    }
-
-    /// Whether a neighbor of the vertex has the other sign.
-    fn is_beside_zero(&self, place: GridVertex) -> bool {
-        let inside = self.values[place.i].is_sign_negative();
-        place.neighbors(self.side as usize).any(|other| self.values[other.i].is_sign_negative() != inside)
-    }
-
-    fn distance_beside_zero(&self, i: usize) -> f32 {
-        let length = self.vertex_gradient(self.vertex(i)).length();
-        self.values[i].abs() / length.clamp(GRADIENT_RANGE.0, GRADIENT_RANGE.1)
     }
 
     /// Resamples the field on a grid of `cells` cells per side over the same cube.
@@ -126,31 +116,27 @@ impl Sweeps {
     fn new(grid: &SdfGrid, reach: f32) -> Self {
         let (side, spacing) = (grid.side as usize, grid.spacing);
         let count = grid.values.len();
-        let sweeps = Self {
-            side,
-            spacing,
-            reach,
-            distance: (0..count).into_par_iter().map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect(),
-            state: (0..count).into_par_iter().map(|_| AtomicU8::new(CLOSED)).collect(),
-            open_rows: (0..side * side).map(|_| AtomicBool::new(false)).collect(),
-        };
+        let distance = (0..count).into_par_iter().map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect();
+        let state = (0..count).into_par_iter().map(|_| AtomicU8::new(CLOSED)).collect();
+        let open_rows = (0..side * side).map(|_| AtomicBool::new(false)).collect();
+        let sweeps = Self { side, spacing, reach, distance, state, open_rows };
         let row = |row: usize| (0..side).map(move |x| GridVertex::new(side, [x, row % side, row / side]));
-        let near: Vec<GridVertex> = (0..side * side)
-            .into_par_iter()
-            .flat_map_iter(row)
-            .filter(|place| grid.is_beside_zero(*place))
-            .collect();
+        // A neighbor has the other sign.
+        let is_beside_zero = |place: &GridVertex| {
+            let inside = grid.values[place.i].is_sign_negative();
+            place.neighbors(side).any(|other| grid.values[other.i].is_sign_negative() != inside)
+        };
+        let places = (0..side * side).into_par_iter().flat_map_iter(row);
+        let near: Vec<GridVertex> = places.filter(is_beside_zero).collect();
         near.par_iter().for_each(|place| {
-            let distance = grid.distance_beside_zero(place.i).min(2.0 * spacing);
+            let length = grid.vertex_gradient(grid.vertex(place.i)).length();
+            let distance = grid.values[place.i].abs() / length.clamp(GRADIENT_RANGE.0, GRADIENT_RANGE.1);
+            let distance = distance.min(2.0 * spacing);
             sweeps.distance[place.i].store(distance.to_bits(), Relaxed);
             sweeps.state[place.i].store(FIXED, Relaxed);
         });
         near.par_iter().for_each(|place| sweeps.open_around(*place, sweeps.of(place.i)));
         sweeps
-    }
-
-    fn is_done(&self) -> bool {
-        self.open_rows.iter().all(|row| !row.load(Relaxed))
     }
 
     /// One Gauss–Seidel sweep; the bits of `direction` select the axes that are traversed backward. Rows whose places along y and z have

@@ -61,21 +61,15 @@ impl TexelVolume {
         self.origin + at.as_vec3() * self.spacing
     }
 
-    fn row(&self, at: UVec3) -> u32 {
-        self.rows[(at.x + self.side * (at.y + self.side * at.z)) as usize]
-    }
-
     /// The four texels around a point, from the cell's lowest corner to its highest; `None` if one is missing.
     pub fn address(&self, point: Vec3) -> Option<TexelAddress> {
-        let (corners, weights) = self.tetrahedron(point);
-        let indices = corners.map(|at| self.row(at));
+        let (indices, weights) = self.tetrahedron(point);
         (!indices.contains(&NONE)).then_some(TexelAddress { indices, weights })
     }
 
     /// [`TexelVolume::address`], with the nearest texel of the cell in place of those that are missing.
     pub fn nearest_address(&self, point: Vec3) -> Option<TexelAddress> {
-        let (corners, weights) = self.tetrahedron(point);
-        let rows = corners.map(|at| self.row(at));
+        let (rows, weights) = self.tetrahedron(point);
         let heaviest =
             (0..4).filter(|&k| rows[k] != NONE).max_by(|&a, &b| weights[a].total_cmp(&weights[b]))?;
         Some(TexelAddress { indices: rows.map(|r| if r == NONE { rows[heaviest] } else { r }), weights })
@@ -89,7 +83,8 @@ impl TexelVolume {
         (cell, at - cell.as_vec3())
     }
 
-    fn tetrahedron(&self, point: Vec3) -> ([UVec3; 4], [f32; 4]) {
+    /// The texels around a point, [`NONE`] where there is none, and their weights.
+    fn tetrahedron(&self, point: Vec3) -> ([u32; 4], [f32; 4]) {
         let (cell, t) = self.cell(point);
         let order = descending(t);
         let mut corners = [cell; 4];
@@ -98,7 +93,8 @@ impl TexelVolume {
             corners[k + 1][order[k]] += 1;
         }
         let [a, b, c] = order.map(|axis| t[axis]);
-        (corners, [1.0 - a, a - b, b - c, c])
+        let row = |at: UVec3| self.rows[(at.x + self.side * (at.y + self.side * at.z)) as usize];
+        (corners.map(row), [1.0 - a, a - b, b - c, c])
     }
 
     /// Gradient in space of an interpolated value, given the value of each texel (such as a weighted sum of channels).
@@ -130,18 +126,13 @@ pub struct SdfSurface {
     pub empty: Option<SdfGrid>,
 }
 
-impl SdfSurface {
-    fn hit(&self, ray: &Ray, distance: f32) -> Option<Hit> {
+impl Intersect for SdfSurface {
+    fn intersect(&self, ray: &Ray, min_distance: f32) -> Option<Hit> {
+        let distance = self.grid.first_crossing(ray, min_distance)?;
         let position = ray.origin + ray.direction * distance;
         let normal = self.grid.gradient(position).try_normalize()?;
         let texels = self.volume.nearest_address(position)?;
         Some(Hit { distance, position, normal, geometric_normal: normal, uv: Vec2::ZERO, texels })
-    }
-}
-
-impl Intersect for SdfSurface {
-    fn intersect(&self, ray: &Ray, min_distance: f32) -> Option<Hit> {
-        self.grid.first_crossing(ray, min_distance).and_then(|distance| self.hit(ray, distance))
     }
 
     fn occluded(&self, ray: &Ray, min_distance: f32, max_distance: f32) -> bool {

@@ -1,10 +1,9 @@
 //! The pinhole camera: rays, projection, and construction of cameras by position or orbit.
 
-use crate::error::{Error, Result};
+use crate::{Error, Result};
 use bevy_ecs::prelude::Component;
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
-use lobelia_sg::fibonacci::fibonacci_axes;
-use lobelia_sg::ray::Ray;
+use lobelia_sg::{fibonacci::fibonacci_axes, ray::Ray};
 use serde::{Deserialize, Serialize};
 
 /// A pinhole camera.
@@ -126,11 +125,10 @@ impl Camera {
         let [x, y] = self.center;
         let shifts = [x, y, self.skew, self.pixel_center];
         if !shifts.iter().all(|shift| shift.abs() <= MOST_SHIFT * longer) {
-            let problem = format!(
+            return Err(format!(
                 "its principal point ({x:e}, {y:e}) or skew {:e} is far outside {width}×{height} pixels",
                 self.skew
-            );
-            return Err(problem);
+            ));
         }
         let at = self.position();
         if !self.world_from_camera.is_finite() || at.abs().max_element() > FARTHEST {
@@ -161,17 +159,13 @@ impl Camera {
         let forward = (target - eye).try_normalize().ok_or_else(|| {
             Error::usage(format!("a camera at {eye} cannot look at {target}"), "Move one of the two points.")
         })?;
-        let right = up.try_normalize().and_then(|up| {
-            let right = forward.cross(up);
-            (right.length() > 1e-4).then(|| right.normalize())
-        });
+        let right = up.try_normalize().map(|up| forward.cross(up)).filter(|right| right.length() > 1e-4);
         let right = right.ok_or_else(|| {
-            Error::usage(
-                format!("up = {up} does not determine the roll of a camera that looks along {forward}"),
-                "Give an up direction of non-zero length that is not along the view.",
-            )
+            let problem =
+                format!("up = {up} does not determine the roll of a camera that looks along {forward}");
+            Error::usage(problem, "Give an up direction of non-zero length that is not along the view.")
         })?;
-        Self::from_axes(eye, forward, right, vertical_fov_degrees, width, height)
+        Self::from_axes(eye, forward, right.normalize(), vertical_fov_degrees, [width, height])
     }
 
     /// The cameras of an orbit, in order, counterclockwise seen from above.
@@ -179,23 +173,34 @@ impl Camera {
     /// # Errors
     /// [`Error::Usage`] if a field is outside its range (see [`CameraOrbit`]).
     pub fn orbit(orbit: &CameraOrbit) -> Result<Vec<Self>> {
-        let up = orbit.checked_up()?;
+        let wrong = |problem: String, help: &str| Err(Error::usage(format!("an orbit with {problem}"), help));
+        if !(orbit.radius > 0.0 && orbit.radius.is_finite()) {
+            return wrong(format!("a radius of {}", orbit.radius), "Give a distance above 0.");
+        }
+        if !(-90.0..=90.0).contains(&orbit.elevation_degrees) {
+            let problem = format!("an elevation of {} degrees", orbit.elevation_degrees);
+            return wrong(problem, "Give an angle between -90 (from below) and 90 (from above).");
+        }
+        if orbit.frames == 0 {
+            return wrong("no frames".into(), "Give `frames: 1` or more.");
+        }
+        let Some(up) = orbit.up.try_normalize() else {
+            return wrong(format!("up = {}", orbit.up), "Give a direction of non-zero length.");
+        };
         let front_hint = if up.z.abs() < 0.9 { Vec3::Z } else { Vec3::NEG_Y };
         let front = (front_hint - up * up.dot(front_hint)).normalize();
         let side = up.cross(front);
         let (sin_elevation, cos_elevation) = orbit.elevation_degrees.to_radians().sin_cos();
         let step = 360.0 / orbit.frames as f32;
-        (0..orbit.frames)
-            .map(|frame| {
-                let azimuth = (orbit.start_degrees + step * frame as f32).to_radians();
-                let (sin, cos) = azimuth.sin_cos();
-                let outward = cos_elevation * (cos * front + sin * side) + sin_elevation * up;
-                // The tangent of the circle is the right axis of the camera, also directly above the target.
-                let right = cos * side - sin * front;
-                let eye = orbit.target + orbit.radius * outward;
-                Self::from_axes(eye, -outward, right, orbit.vertical_fov_degrees, orbit.width, orbit.height)
-            })
-            .collect()
+        let camera = |frame: u32| {
+            let (sin, cos) = (orbit.start_degrees + step * frame as f32).to_radians().sin_cos();
+            let outward = cos_elevation * (cos * front + sin * side) + sin_elevation * up;
+            // The tangent of the circle is the right axis of the camera, also directly above the target.
+            let right = cos * side - sin * front;
+            let eye = orbit.target + orbit.radius * outward;
+            Self::from_axes(eye, -outward, right, orbit.vertical_fov_degrees, [orbit.width, orbit.height])
+        };
+        (0..orbit.frames).map(camera).collect()
     }
 
     /// `count` cameras distributed uniformly over a sphere of this radius around the origin, looking at the origin; images are square.
@@ -216,75 +221,28 @@ impl Camera {
         let factor = factor.max(1);
         let scale = 1.0 / factor as f32;
         let shift = self.pixel_center - 0.5;
-        Self {
-            width: self.width / factor,
-            height: self.height / factor,
-            focal: self.focal.map(|f| f * scale),
-            // Positions scale about the image's corner; `center` is counted from the `pixel_center` of pixel 0.
-            center: self.center.map(|c| (c - shift) * scale + shift),
-            skew: self.skew * scale,
-            ..*self
-        }
+        let (focal, skew) = (self.focal.map(|f| f * scale), self.skew * scale);
+        // Positions scale about the image's corner; `center` is counted from the `pixel_center` of pixel 0.
+        let center = self.center.map(|c| (c - shift) * scale + shift);
+        Self { width: self.width / factor, height: self.height / factor, focal, center, skew, ..*self }
     }
 
-    fn from_axes(
-        eye: Vec3,
-        forward: Vec3,
-        right: Vec3,
-        fov_degrees: f32,
-        width: u32,
-        height: u32,
-    ) -> Result<Self> {
-        if width == 0 || height == 0 {
-            return Err(Error::usage(
-                format!("an image of {width}×{height} pixels"),
-                "Give a width and a height of at least 1.",
-            ));
-        }
-        let fov_is_good = fov_degrees > 0.0 && fov_degrees < 180.0;
-        if !fov_is_good {
-            return Err(Error::usage(
-                format!("a vertical field of view of {fov_degrees} degrees"),
-                "Give an angle between 0 and 180 degrees, e.g. 38.",
-            ));
+    fn from_axes(eye: Vec3, forward: Vec3, right: Vec3, fov_degrees: f32, size: [u32; 2]) -> Result<Self> {
+        let [width, height] = size;
+        if !(fov_degrees > 0.0 && fov_degrees < 180.0) {
+            let problem = format!("a vertical field of view of {fov_degrees} degrees");
+            return Err(Error::usage(problem, "Give an angle between 0 and 180 degrees, e.g. 38."));
         }
         let down = forward.cross(right).normalize();
         let focal = 0.5 * height as f32 / (0.5 * fov_degrees.to_radians()).tan();
         let rotation = Mat3A::from_cols(right.into(), down.into(), forward.into());
         let world_from_camera = Affine3A { matrix3: rotation, translation: eye.into() };
-        let center = [0.5 * width as f32, 0.5 * height as f32];
-        let focal = [focal; 2];
+        let (focal, center) = ([focal; 2], [0.5 * width as f32, 0.5 * height as f32]);
         let camera = Self { width, height, focal, center, skew: 0.0, world_from_camera, pixel_center: 0.5 };
-        camera.check().map_err(|problem| {
-            Error::usage(
-                format!("a camera cannot be used: {problem}"),
-                "Correct its field of view and place.",
-            )
-        })?;
-        Ok(camera)
-    }
-}
-
-impl CameraOrbit {
-    fn checked_up(&self) -> Result<Vec3> {
-        let wrong = |problem: String, help: &str| Err(Error::usage(format!("an orbit with {problem}"), help));
-        let radius_is_good = self.radius > 0.0 && self.radius.is_finite();
-        if !radius_is_good {
-            return wrong(format!("a radius of {}", self.radius), "Give a distance above 0.");
-        }
-        if !(-90.0..=90.0).contains(&self.elevation_degrees) {
-            return wrong(
-                format!("an elevation of {} degrees", self.elevation_degrees),
-                "Give an angle between -90 (from below) and 90 (from above).",
-            );
-        }
-        if self.frames == 0 {
-            return wrong("no frames".into(), "Give `frames: 1` or more.");
-        }
-        match self.up.try_normalize() {
-            Some(up) => Ok(up),
-            None => wrong(format!("up = {}", self.up), "Give a direction of non-zero length."),
-        }
+        camera.check().map(|()| camera).map_err(|problem| {
+            let problem = format!("a camera cannot be used: {problem}");
+            Error::usage(problem, "Correct its image size, field of view and place.")
+        })
     }
 }
 

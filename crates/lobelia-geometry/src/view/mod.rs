@@ -17,22 +17,19 @@ pub use raster::{Image, Mask, PixelWindow};
 pub use stored::{Photograph, StoredMask};
 
 use crate::{Error, Result};
-use bevy_ecs::prelude::{Component, World};
+use bevy_ecs::prelude::{Component, EntityWorldMut, World};
 use glam::Vec3;
 use half::f16;
 use lobelia_sg::statistics::median;
 use serde::{Deserialize, Serialize};
-use std::ops::Range;
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 /// Name of a view; output files have this name.
 #[derive(Component, Clone, Debug, PartialEq, Eq)]
 pub struct ViewName(pub String);
 
 /// Number of a view, by which pixel samples refer to it. Unique, and otherwise arbitrary.
-#[derive(
-    Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
-)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct ViewIndex(pub u32);
 
 /// One value per view, by the index of the view.
@@ -90,9 +87,7 @@ impl<T> FromIterator<(ViewIndex, T)> for ByView<T> {
 pub struct ViewMask(pub StoredMask);
 
 /// The placement of the object that a view shows, counted from 0: it may be turned over between two rounds of photographs.
-#[derive(
-    Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
-)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Placement(pub u32);
 
 /// Which part of a data set a view belongs to.
@@ -137,18 +132,16 @@ pub fn spawn_views(world: &mut World, views: Vec<ViewRecord>) {
     for (view, index) in views.into_iter().zip(next..) {
         let mut entity =
             world.spawn((ViewIndex(index), ViewName(view.name), view.camera, view.split, view.placement));
-        if let Some(photograph) = view.photograph {
-            entity.insert(photograph);
-        }
-        if let Some(mask) = view.mask {
-            entity.insert(ViewMask(mask));
-        }
-        if let Some(albedo) = view.priors.albedo {
-            entity.insert(AlbedoMap(albedo));
-        }
-        if let Some(normals) = view.priors.normals {
-            entity.insert(NormalMap(normals));
-        }
+        insert(&mut entity, view.photograph);
+        insert(&mut entity, view.mask.map(ViewMask));
+        insert(&mut entity, view.priors.albedo.map(AlbedoMap));
+        insert(&mut entity, view.priors.normals.map(NormalMap));
+    }
+}
+
+fn insert<T: Component>(entity: &mut EntityWorldMut, component: Option<T>) {
+    if let Some(component) = component {
+        entity.insert(component);
     }
 }
 
@@ -189,18 +182,12 @@ impl Frame {
     #[must_use]
     pub fn band(&self, rows: Range<usize>) -> Self {
         let pixels = rows.start * self.width..rows.end * self.width;
-        let vectors = |values: &[Vec3]| values[pixels.clone()].to_vec();
-        Self {
-            width: self.width,
-            height: rows.len(),
-            color: vectors(&self.color),
-            alpha: self.alpha[pixels.clone()].to_vec(),
-            diffuse: vectors(&self.diffuse),
-            specular: vectors(&self.specular),
-            albedo: vectors(&self.albedo),
-            normal: vectors(&self.normal),
-            depth: self.depth[pixels.clone()].to_vec(),
-        }
+        let vectors = [&self.color, &self.diffuse, &self.specular, &self.albedo, &self.normal];
+        let [color, diffuse, specular, albedo, normal] =
+            vectors.map(|values| values[pixels.clone()].to_vec());
+        let [alpha, depth] = [&self.alpha, &self.depth].map(|values| values[pixels.clone()].to_vec());
+        let (width, height) = (self.width, rows.len());
+        Self { width, height, color, alpha, diffuse, specular, albedo, normal, depth }
     }
 }
 

@@ -64,11 +64,9 @@ impl PixelWindow {
         let starts = move |count: u32| (0..count).step_by(side as usize);
         let places =
             starts(self.height).flat_map(move |down| starts(self.width).map(move |across| (across, down)));
-        places.map(move |(across, down)| Self {
-            x: self.x + across,
-            y: self.y + down,
-            width: side.min(self.width - across),
-            height: side.min(self.height - down),
+        places.map(move |(across, down)| {
+            let (width, height) = (side.min(self.width - across), side.min(self.height - down));
+            Self { x: self.x + across, y: self.y + down, width, height }
         })
     }
 
@@ -114,13 +112,9 @@ impl Image {
     pub fn downscaled(&self, factor: u32) -> Self {
         let (width, height) = small_size(self.width, self.height, factor);
         let scale = 1.0 / f64::from(factor.max(1)).powi(2);
-        let pixels = blocks(self.width, self.height, factor)
-            .map(|block| {
-                let sum: DVec3 = block.map(|i| self.pixels[i].as_dvec3()).sum();
-                Vec3::new((sum.x * scale) as f32, (sum.y * scale) as f32, (sum.z * scale) as f32)
-            })
-            .collect();
-        Self { width, height, pixels }
+        let blocks = blocks(self.width, self.height, factor);
+        let sums = blocks.map(|block| block.map(|i| self.pixels[i].as_dvec3()).sum::<DVec3>());
+        Self { width, height, pixels: sums.map(|sum| (sum * scale).as_vec3()).collect() }
     }
 }
 
@@ -129,10 +123,9 @@ impl Mask {
     pub fn downscaled(&self, factor: u32) -> Self {
         let (width, height) = small_size(self.width, self.height, factor);
         let scale = 1.0 / f64::from(factor.max(1)).powi(2);
-        let coverage = blocks(self.width, self.height, factor)
-            .map(|block| (block.map(|i| f64::from(self.coverage[i])).sum::<f64>() * scale) as f32)
-            .collect();
-        Self { width, height, coverage }
+        let blocks = blocks(self.width, self.height, factor);
+        let sums = blocks.map(|block| block.map(|i| f64::from(self.coverage[i])).sum::<f64>());
+        Self { width, height, coverage: sums.map(|sum| (sum * scale) as f32).collect() }
     }
 }
 
@@ -147,14 +140,9 @@ fn small_size(width: u32, height: u32, factor: u32) -> (u32, u32) {
 
 /// For each pixel of the small image, row by row, the indices of its block in the large one.
 fn blocks(width: u32, height: u32, factor: u32) -> impl Iterator<Item = impl Iterator<Item = usize>> {
-    let (small_width, small_height) = small_size(width, height, factor);
-    let (width, factor) = (width as usize, factor.max(1) as usize);
-    (0..small_height as usize).flat_map(move |y| {
-        (0..small_width as usize).map(move |x| {
-            (0..factor)
-                .flat_map(move |dy| (0..factor).map(move |dx| (y * factor + dy) * width + x * factor + dx))
-        })
-    })
+    let ((across, down), side) = (small_size(width, height, factor), factor.max(1));
+    let places = (0..down).flat_map(move |y| (0..across).map(move |x| (x * side, y * side)));
+    places.map(move |(x, y)| PixelWindow { x, y, width: side, height: side }.pixels(width))
 }
 
 /// Index of a pixel, and its weight in a sum.
@@ -190,14 +178,13 @@ pub fn signed_distance(coverage: &[f32], width: usize, height: usize) -> Vec<f32
     let inside = |i: usize| coverage[i] >= 0.5;
     let to_inside = squared_distance(width, height, inside);
     let to_outside = squared_distance(width, height, |i| !inside(i));
-    (0..coverage.len())
-        .map(|i| {
-            // Pixels next to the other side: the silhouette lies between the two centers, half a pixel away on average.
-            let (far, sign) = if inside(i) { (to_outside[i], -1.0) } else { (to_inside[i], 1.0) };
-            let partly = coverage[i] > 0.0 && coverage[i] < 1.0;
-            if partly && far <= 2.0 { 0.5 - coverage[i] } else { sign * (far.sqrt() - 0.5) }
-        })
-        .collect()
+    let distance = |i: usize| {
+        // Pixels next to the other side: the silhouette lies between the two centers, half a pixel away on average.
+        let (far, sign) = if inside(i) { (to_outside[i], -1.0) } else { (to_inside[i], 1.0) };
+        let partly = coverage[i] > 0.0 && coverage[i] < 1.0;
+        if partly && far <= 2.0 { 0.5 - coverage[i] } else { sign * (far.sqrt() - 0.5) }
+    };
+    (0..coverage.len()).map(distance).collect()
 }
 
 /// Squared distance from every pixel to the nearest one that is `set`; at most that across the image.
@@ -238,15 +225,14 @@ fn lower_envelope(f: &[f32]) -> Vec<f32> {
         starts.push(start);
     }
     let mut k = 0;
-    (0..f.len())
-        .map(|p| {
-            while k + 1 < hull.len() && starts[k + 1] < p as f32 {
-                k += 1;
-            }
-            let d = p as f32 - hull[k] as f32;
-            d * d + f[hull[k]]
-        })
-        .collect()
+    let least = |p: usize| {
+        while k + 1 < hull.len() && starts[k + 1] < p as f32 {
+            k += 1;
+        }
+        let d = p as f32 - hull[k] as f32;
+        d * d + f[hull[k]]
+    };
+    (0..f.len()).map(least).collect()
 }
 
 #[cfg(test)]
@@ -273,10 +259,8 @@ mod tests {
         let mask = Mask { width: 2, height: 2, coverage: vec![1.0, 0.0, 0.5, 0.5] };
         assert_eq!(mask.downscaled(2).coverage, [0.5]);
         assert_eq!(any_downscaled(&[false, false, true, false], 4, 1, 1), [false, false, true, false]);
-        assert_eq!(
-            any_downscaled(&[false, false, false, true, false, false, false, false], 4, 2, 2),
-            [false, true]
-        );
+        let flags = [false, false, false, true, false, false, false, false];
+        assert_eq!(any_downscaled(&flags, 4, 2, 2), [false, true]);
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! Photographs and masks as they are kept: in the bytes of their files where those are 8-bit, as half floats where these hold the values,
 //! and only inside a window, since most photographs are mostly background.
 
-use crate::error::{Error, Result};
 use crate::view::{Image, Mask, PixelWindow};
+use crate::{Error, Result};
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
 use half::f16;
@@ -12,11 +12,11 @@ use std::sync::Arc;
 #[derive(Clone, Debug, PartialEq)]
 enum Numbers {
     /// Places in a table.
-    Bytes(Vec<u8>, Arc<[f32]>),
+    Bytes(Box<[u8]>, Arc<[f32]>),
     /// Places in a table.
-    Words(Vec<u16>, Arc<[f32]>),
-    Halves(Vec<f16>),
-    Floats(Vec<f32>),
+    Words(Box<[u16]>, Arc<[f32]>),
+    Halves(Box<[f16]>),
+    Floats(Box<[f32]>),
 }
 
 impl Numbers {
@@ -27,9 +27,9 @@ impl Numbers {
             rounded.to_f32() == value || may_round && rounded.is_finite()
         };
         if values.clone().all(holds) {
-            Self::Halves(tight(values.map(f16::from_f32)))
+            Self::Halves(values.map(f16::from_f32).collect())
         } else {
-            Self::Floats(tight(values))
+            Self::Floats(values.collect())
         }
     }
 
@@ -45,20 +45,12 @@ impl Numbers {
 
     /// The greatest value, and no less than 0: of stored integers the greatest that they could be.
     fn highest(&self) -> f32 {
-        let highest = |a: f32, b: f32| a.max(b);
         match self {
-            Self::Bytes(_, table) | Self::Words(_, table) => table.iter().copied().fold(0.0, highest),
-            Self::Halves(stored) => stored.iter().map(|value| value.to_f32()).fold(0.0, highest),
-            Self::Floats(stored) => stored.iter().copied().fold(0.0, highest),
+            Self::Bytes(_, table) | Self::Words(_, table) => table.iter().copied().fold(0.0, f32::max),
+            Self::Halves(stored) => stored.iter().map(|value| value.to_f32()).fold(0.0, f32::max),
+            Self::Floats(stored) => stored.iter().copied().fold(0.0, f32::max),
         }
     }
-}
-
-/// Values without the room that a list grows by.
-fn tight<T>(values: impl Iterator<Item = T>) -> Vec<T> {
-    let mut list: Vec<T> = values.collect();
-    list.shrink_to_fit();
-    list
 }
 
 /// Flags, eight in a byte.
@@ -188,8 +180,8 @@ impl Photograph {
             covered && (0..colors).any(|channel| color_of(pixel, channel) == top)
         };
         let pack = |table: Arc<[f32]>, values: &mut dyn Iterator<Item = usize>| match samples {
-            IntegerSamples::Bytes(_) => Numbers::Bytes(tight(values.map(|v| v as u8)), table),
-            IntegerSamples::Words(_) => Numbers::Words(tight(values.map(|v| v as u16)), table),
+            IntegerSamples::Bytes(_) => Numbers::Bytes(values.map(|v| v as u8).collect(), table),
+            IntegerSamples::Words(_) => Numbers::Words(values.map(|v| v as u16).collect(), table),
         };
         let mut color = inside().flat_map(|pixel| (0..colors).map(move |channel| color_of(pixel, channel)));
         let color = pack(curve.color.clone(), &mut color);
@@ -273,7 +265,7 @@ impl StoredMask {
         let table: Arc<[f32]> = (0..=255u8).map(|v| f32::from(v) / 255.0).collect();
         let nearest = |coverage: f32| (coverage * 255.0).round() as u8;
         let coverage = if values.clone().all(|c| table[usize::from(nearest(c))] == c) {
-            Numbers::Bytes(tight(values.map(nearest)), table)
+            Numbers::Bytes(values.map(nearest).collect(), table)
         } else {
             Numbers::of(values, true)
         };
@@ -404,18 +396,12 @@ mod tests {
         let coverage = |i: usize| if [6, 8, 13].contains(&i) { 0.2 } else { 0.0 };
         let mask = Mask { width: 5, height: 4, coverage: (0..20).map(coverage).collect() };
         let kept = StoredMask::new(&mask);
-        let middle = PixelWindow { x: 1, y: 1, width: 3, height: 2 };
-        assert_eq!((kept.window(), bytes(&kept.coverage)), (middle, 6));
+        assert_eq!((kept.window(), bytes(&kept.coverage)), (middle(), 6));
         assert_eq!(kept.mask(), mask);
         let quarter = Mask { coverage: mask.coverage.iter().map(|c| c * 1.25).collect(), ..mask };
         let kept = StoredMask::new(&quarter);
         assert_eq!((kept.mask(), bytes(&kept.coverage)), (quarter, 12));
-    }
-
-    #[test]
-    fn an_empty_mask_has_an_empty_window() {
-        let mask = Mask { width: 3, height: 2, coverage: vec![0.0; 6] };
-        assert!(PixelWindow::of_mask(&mask).is_empty());
-        assert_eq!(StoredMask::new(&mask).mask(), mask);
+        let empty = StoredMask::new(&Mask { width: 3, height: 2, coverage: vec![0.0; 6] });
+        assert!(empty.window().is_empty() && empty.mask().coverage == [0.0; 6]);
     }
 }

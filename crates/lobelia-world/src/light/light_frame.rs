@@ -45,7 +45,9 @@ impl LightFrame {
                 let [x, y] = [world_from_camera.x_axis, world_from_camera.y_axis];
                 let across = if x.dot(axis).abs() <= y.dot(axis).abs() { x } else { y };
                 let angle = across.dot(side).atan2(across.dot(front));
-                Mat3::from_quat(Quat::from_axis_angle(axis, turn_back(axis, side, front) * angle))
+                // The sense of rotation about the axis that brings a direction at a positive angle back to `front`.
+                let turn_back = -axis.dot(front.cross(side)).signum();
+                Mat3::from_quat(Quat::from_axis_angle(axis, turn_back * angle))
             }
         }
     }
@@ -60,11 +62,6 @@ impl LightFrame {
             }
         }
     }
-}
-
-/// The sense of rotation about `axis` that brings a direction at a positive angle from `front` toward `side` back to `front`.
-fn turn_back(axis: Vec3, side: Vec3, front: Vec3) -> f32 {
-    -axis.dot(front.cross(side)).signum()
 }
 
 /// Rotation from the axes of the camera of the picture that is rendered into the world.

@@ -13,15 +13,12 @@ use super::light_frame::{LightFrame, OwnLightFrame, PictureRotation};
 use super::lobe::{LightLobe, rotate_lobes};
 use super::placement::{LightGroup, PicturePlacement, PlacedFrame, Placements, light_from_world};
 use crate::pipeline::SystemResult;
-use bevy_ecs::prelude::{
-    Component, Entity, IntoScheduleConfigs, Query, Res, ResMut, Resource, With, Without, World,
-};
+use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::{ScheduleSystem, SystemParam};
 use glam::{Mat3, Quat};
-use lobelia_geometry::error::{Error, Result};
-use lobelia_sg::ray::Illuminate;
-use lobelia_sg::shading::LobeColumns;
+use lobelia_geometry::{Error, Result};
+use lobelia_sg::{ray::Illuminate, shading::LobeColumns};
 use std::sync::Arc;
 
 /// Name of a light other than the scene's own.
@@ -81,12 +78,12 @@ pub enum LightChoice {
     Named(String),
 }
 
-/// The lobes of a light with their entities, and its map, if it has one.
-pub type LobesAndMap = (Vec<(Entity, LightLobe)>, Option<Arc<MapLight>>);
+/// The lobes of a light with their entities, its map and its frame, if it has them.
+type PlainLight = (Vec<(Entity, LightLobe)>, Option<Arc<MapLight>>, Option<LightFrame>);
 
 /// All lights, as a system parameter.
 #[derive(SystemParam)]
-pub struct Lights<'w, 's> {
+struct Lights<'w, 's> {
     own: Query<'w, 's, (Entity, &'static LightLobe), Without<LobeOf>>,
     own_map: Query<'w, 's, &'static LightMap, (Without<LightName>, Without<LightGroup>)>,
     groups: Query<'w, 's, (&'static LightGroup, &'static LobesOf, Option<&'static LightMap>)>,
@@ -103,43 +100,35 @@ pub struct Lights<'w, 's> {
 }
 
 impl Lights<'_, '_> {
-    /// The lobes of a light and their entities, and its map, if it has one.
-    ///
-    /// # Errors
-    /// If there is no light with that name, or there are several.
-    pub fn of(&self, choice: &LightChoice) -> Result<LobesAndMap> {
+    /// The chosen light; an error if there is no light with that name, or there are several.
+    fn of(&self, choice: &LightChoice) -> Result<PlainLight> {
         let LightChoice::Named(name) = choice else {
+            let frame = Some(self.own_frame.as_deref().map(|own| own.0).unwrap_or_default());
             let group = self.picture_placement.as_deref().map(|placement| placement.light);
             if let Some((_, lobes, map)) = self.groups.iter().find(|(of, ..)| Some(**of) == group) {
-                return Ok(self.lobes_and_map(lobes, map));
+                return Ok(self.with_lobes(lobes, map, frame));
             }
             let lobes = self.own.iter().map(|(entity, lobe)| (entity, *lobe)).collect();
-            return Ok((lobes, self.own_map.iter().next().map(|map| map.0.clone())));
+            return Ok((lobes, self.own_map.iter().next().map(|map| map.0.clone()), frame));
         };
         let mut found = self.named.iter().filter(|(of, ..)| of.0 == *name);
-        let (Some((_, lobes, map, _)), None) = (found.next(), found.next()) else {
+        let (Some((_, lobes, map, frame)), None) = (found.next(), found.next()) else {
             let names: Vec<&str> = self.named.iter().map(|(name, ..)| name.0.as_str()).collect();
             let problem =
                 format!("there must be exactly one light named {name}; the lights are: {}", names.join(", "));
             return Err(Error::run("the light", problem));
         };
-        Ok(self.lobes_and_map(lobes, map))
+        Ok(self.with_lobes(lobes, map, frame.copied()))
     }
 
-    fn lobes_and_map(&self, lobes: &LobesOf, map: Option<&LightMap>) -> LobesAndMap {
+    fn with_lobes(&self, lobes: &LobesOf, map: Option<&LightMap>, frame: Option<LightFrame>) -> PlainLight {
         let lobes = self.lobes.iter_many(&lobes.0).flatten().map(|(entity, lobe)| (entity, *lobe)).collect();
-        (lobes, map.map(|map| map.0.clone()))
+        (lobes, map.map(|map| map.0.clone()), frame)
     }
 
     /// The frame of the lobes of a light after a rotation into the world, and that rotation.
-    fn placed(&self, choice: &LightChoice) -> (PlacedFrame, Mat3) {
+    fn placed(&self, choice: &LightChoice, frame: Option<LightFrame>) -> (PlacedFrame, Mat3) {
         // Other lights stand in the world, however the object lies, if they do not say otherwise: a relit object turns under them.
-        let frame = match choice {
-            LightChoice::Own => Some(self.own_frame.as_deref().map(|own| own.0).unwrap_or_default()),
-            LightChoice::Named(name) => {
-                self.named.iter().find(|(of, ..)| of.0 == *name).and_then(|(.., frame)| frame.copied())
-            }
-        };
         let Some(frame) = frame else { return (PlacedFrame::default(), Mat3::IDENTITY) };
         let Some(picture) = &self.picture else {
             let own = self.own_placements.as_deref().filter(|_| *choice == LightChoice::Own);
@@ -164,9 +153,9 @@ pub fn provide_turned_light(
     turn: Quat,
 ) -> ScheduleConfigs<ScheduleSystem> {
     let system = move |lights: Lights, mut light: ResMut<IncidentLight>| -> SystemResult {
-        let (lobes, map) = lights.of(&choice)?;
+        let (lobes, map, frame) = lights.of(&choice)?;
         let mut lobes_only: Vec<LightLobe> = lobes.iter().map(|(_, lobe)| *lobe).collect();
-        (light.frame, light.turn) = lights.placed(&choice);
+        (light.frame, light.turn) = lights.placed(&choice, frame);
         if turn != Quat::IDENTITY {
             light.turn = Mat3::from_quat(turn) * light.turn;
         }

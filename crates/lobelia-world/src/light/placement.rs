@@ -12,9 +12,7 @@ use lobelia_geometry::view::Placement;
 use serde::{Deserialize, Serialize};
 
 /// Number of a group of photographs that have one light; 0 is that of the scene's own light.
-#[derive(
-    Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
-)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct LightGroup(pub u32);
 
 impl LightGroup {
@@ -107,10 +105,8 @@ pub struct PlacedFrame {
 impl PlacedFrame {
     /// Returns the frame and placements of the scene's own light.
     pub fn own(world: &World) -> Self {
-        Self {
-            frame: world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default(),
-            placements: world.get_resource::<Placements>().cloned().unwrap_or_default(),
-        }
+        let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
+        Self { frame, placements: world.get_resource::<Placements>().cloned().unwrap_or_default() }
     }
 
     /// Whether the light stands still around the object.

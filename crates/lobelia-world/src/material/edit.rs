@@ -12,7 +12,7 @@ use super::{
 };
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::{Error, Result};
 use std::sync::Arc;
 
 /// The name of a group of edits; those of a pass of a scene file have the name of the pass.
@@ -75,10 +75,6 @@ impl EditAction {
     fn color(&self, old: Vec3, texel: usize) -> Vec3 {
         self.apply(old, texel).clamp(Vec3::ZERO, Vec3::ONE)
     }
-
-    fn roughness(&self, old: f32) -> f32 {
-        self.apply(Vec3::splat(old), 0).x.clamp(0.03, 1.0)
-    }
 }
 
 /// Where: a weight in `[0, 1]` for each texel; `None` is everywhere.
@@ -107,9 +103,8 @@ impl MaterialState {
     /// If the number is out of range or already used.
     pub fn set_lobe(&mut self, number: BaseMaterial, lobe: SpecularLobe) -> Result<()> {
         let number = number.0 as usize;
-        let mut numbers: Vec<usize> = self.materials().map(|(number, _)| number).chain([number]).collect();
-        numbers.sort_unstable();
-        check_numbers(numbers.into_iter())?;
+        let used = self.lobes.get(number).is_some_and(Option::is_some).then_some(number);
+        check_numbers(used.into_iter().chain([number]))?;
         self.lobes.resize(self.lobes.len().max(number + 1), None);
         self.lobes[number] = Some(lobe);
         Ok(())
@@ -122,10 +117,8 @@ impl MaterialState {
 
     /// The base material of the whole object, if it has only one and its weight is one at every texel.
     pub fn uniform(&self) -> Option<SpecularLobe> {
-        match self.lobes.as_slice() {
-            [Some(one)] if self.blends.iter().all(|blend| *blend == SpecularBlend::default()) => Some(*one),
-            _ => None,
-        }
+        let [Some(one)] = self.lobes[..] else { return None };
+        self.blends.iter().all(|blend| *blend == SpecularBlend::default()).then_some(one)
     }
 }
 
@@ -164,7 +157,7 @@ pub fn apply_edit(
             edit_lobes(state, region, |lobe| SpecularLobe { albedo: action.color(lobe.albedo, 0), ..lobe })
         }
         EditTarget::Roughness => edit_lobes(state, region, |lobe| SpecularLobe {
-            roughness: action.roughness(lobe.roughness),
+            roughness: action.apply(Vec3::splat(lobe.roughness), 0).x.clamp(0.03, 1.0),
             ..lobe
         }),
     }
@@ -193,33 +186,21 @@ fn edit_lobes(
             state.lobes[k] = Some(edited);
             continue;
         }
-        let copy = number_of_copy(&mut state.lobes, before, edited)?;
+        // Lobes that become equal share a copy.
+        let same = state.lobes[before..].iter().position(|lobe| *lobe == Some(edited));
+        let copy = same.map_or(state.lobes.len(), |same| before + same);
+        if copy == MAX_SPECULAR_LOBES {
+            let problem =
+                format!("the edits need more than {MAX_SPECULAR_LOBES} different specular materials");
+            return Err(Error::usage(problem, "Let some regions share their roughness and specular albedo."));
+        }
+        state.lobes.extend(same.is_none().then_some(Some(edited)));
         for (blend, share) in state.blends.iter_mut().zip(region) {
             blend.0[copy] += blend.0[k] * share;
             blend.0[k] *= 1.0 - share;
         }
     }
     Ok(())
-}
-
-/// The number of the copy that is an edited lobe, which is added unless one of the copies, from number `first` on, equals it.
-fn number_of_copy(
-    lobes: &mut Vec<Option<SpecularLobe>>,
-    first: usize,
-    edited: SpecularLobe,
-) -> Result<usize> {
-    if let Some(same) = lobes[first..].iter().position(|lobe| *lobe == Some(edited)) {
-        return Ok(first + same);
-    }
-    let number = lobes.len();
-    if number == MAX_SPECULAR_LOBES {
-        return Err(Error::usage(
-            format!("the edits need more than {MAX_SPECULAR_LOBES} different specular materials"),
-            "Let some regions share their roughness and specular albedo.",
-        ));
-    }
-    lobes.push(Some(edited));
-    Ok(number)
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use super::{
 use crate::pipeline::SystemResult;
 use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::{Changed, Component, Entity, Local, Query, Res, ResMut, Resource, With};
-use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::{Error, Result};
 use std::marker::PhantomData;
 
 /// A component that holds a value `T` of a material: the value itself, or [`Shown`] of it.
@@ -29,12 +29,13 @@ impl<T: Component<Mutability = Mutable> + Copy> Holds<T> for Shown<T> {
 }
 
 /// One material on texels and base materials: which components hold its values.
-pub trait MaterialSource: Send + Sync + 'static {
+pub trait MaterialSource: Default + Send + Sync + 'static {
     /// The component that holds a value.
     type Column<T: Component<Mutability = Mutable> + Copy>: Holds<T>;
 }
 
 /// The recovered material: the result of a fit, or given by a scene.
+#[derive(Default)]
 pub struct RecoveredMaterial;
 
 impl MaterialSource for RecoveredMaterial {
@@ -42,6 +43,7 @@ impl MaterialSource for RecoveredMaterial {
 }
 
 /// The shown material of a frame.
+#[derive(Default)]
 pub struct ShownMaterial;
 
 impl MaterialSource for ShownMaterial {
@@ -67,17 +69,8 @@ impl BaseMaterials {
 }
 
 /// Whether all texels have base material 0 only; written by [`note_plain_blends`].
-#[derive(Resource)]
-pub struct PlainBlends<M: MaterialSource> {
-    plain: bool,
-    source: PhantomData<M>,
-}
-
-impl<M: MaterialSource> Default for PlainBlends<M> {
-    fn default() -> Self {
-        Self { plain: false, source: PhantomData }
-    }
-}
+#[derive(Resource, Default)]
+pub struct PlainBlends<M: MaterialSource>(bool, PhantomData<M>);
 
 /// Texels whose blend weights have changed.
 type ChangedBlends<M> = (Changed<<M as MaterialSource>::Column<SpecularBlend>>, With<TexelIndex>);
@@ -99,7 +92,7 @@ pub fn note_plain_blends<M: MaterialSource>(
     texels: Query<&M::Column<SpecularBlend>, With<TexelIndex>>,
     mut noted: ResMut<PlainBlends<M>>,
 ) {
-    noted.plain = texels.iter().all(|blend| blend.value() == SpecularBlend::default());
+    noted.0 = texels.iter().all(|blend| blend.value() == SpecularBlend::default());
 }
 
 /// Gather: the base materials by number.
@@ -114,7 +107,7 @@ pub fn gather_materials<M: MaterialSource>(
     check_numbers(found.iter().map(|(number, ..)| *number))?;
     gathered.lobes = found.iter().map(|(number, lobe, _)| (*number, *lobe)).collect();
     gathered.entities = found.iter().map(|(_, _, entity)| *entity).collect();
-    gathered.blended = !(plain.plain && matches!(gathered.lobes.as_slice(), [] | [(0, _)]));
+    gathered.blended = !(plain.0 && matches!(gathered.lobes.as_slice(), [] | [(0, _)]));
     Ok(())
 }
 

@@ -23,7 +23,7 @@ pub mod tilt;
 use crate::pipeline::pool::{Pool, pool_index, read_column, write_column};
 use bevy_ecs::prelude::{Component, Entity, With, World};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
+use lobelia_geometry::Result;
 use lobelia_sg::brdf::{Facets, Ndf};
 use serde::{Deserialize, Serialize};
 
@@ -39,9 +39,7 @@ pool_index! {
 pub type Texels<'w, 's, D> = Pool<'w, 's, TexelIndex, D>;
 
 /// Number of a base material, the index of its weight in [`SpecularBlend`]: 0 to [`MAX_SPECULAR_LOBES`] − 1, each at most once.
-#[derive(
-    Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
-)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct BaseMaterial(pub u32);
 
 /// The specular part of a base material.
@@ -127,9 +125,7 @@ impl SpecularBlend {
 impl Default for SpecularBlend {
     /// Weight 1 of base material 0.
     fn default() -> Self {
-        let mut weights = [0.0; MAX_SPECULAR_LOBES];
-        weights[0] = 1.0;
-        Self(weights)
+        Self::even(1)
     }
 }
 
@@ -146,9 +142,8 @@ pub fn spawn_texels(
     tilt: &[DiffuseTilt],
     blends: &[SpecularBlend],
 ) {
-    let colors = albedo.iter().zip(sheen).zip(tilt).zip(blends);
-    let texels = (0..).map(TexelIndex).zip(colors);
-    let texels = texels.map(|(index, (((albedo, sheen), tilt), blend))| {
+    let columns = (0..).map(TexelIndex).zip(albedo).zip(sheen).zip(tilt).zip(blends);
+    let texels = columns.map(|((((index, albedo), sheen), tilt), blend)| {
         (index, DiffuseAlbedo(*albedo), *sheen, *tilt, *blend)
     });
     world.spawn_batch(texels.collect::<Vec<_>>());
@@ -167,9 +162,7 @@ pub fn spawn_materials(world: &mut World, lobes: &[SpecularLobe]) {
 pub fn replace_materials(world: &mut World, lobes: &[SpecularLobe], blend: SpecularBlend) -> Result<()> {
     let mut query = world.query_filtered::<Entity, With<BaseMaterial>>();
     let old: Vec<Entity> = query.iter(world).collect();
-    for material in old {
-        world.despawn(material);
-    }
+    old.into_iter().for_each(|material| _ = world.despawn(material));
     spawn_materials(world, lobes);
     let texels = world.query::<&TexelIndex>().iter(world).len();
     write_column::<TexelIndex, SpecularBlend>(world, &vec![blend; texels])

@@ -13,7 +13,7 @@ use super::{DiffuseAlbedo, DiffuseSheen, TexelIndex};
 use crate::pipeline::pool::write_column;
 use bevy_ecs::prelude::{Resource, World};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
+use lobelia_geometry::Result;
 use lobelia_sg::ray::TexelAddress;
 
 /// The mean of 1 − c over the hemisphere, weighted by c.
@@ -52,14 +52,12 @@ pub enum KnownAlong {
 impl KnownAlong {
     /// The sheen of all texels beside their albedo; `None` for texels of another surface.
     pub fn sheen(&self, albedo: &[Vec3]) -> Option<Vec<DiffuseSheen>> {
-        let of = |(along, albedo): (&Vec3, &Vec3)| DiffuseSheen(*along - *albedo);
-        match self {
-            Self::Everywhere(along) => Some(albedo.iter().map(|albedo| of((along, albedo))).collect()),
-            Self::Texels(along) if along.len() == albedo.len() => {
-                Some(along.iter().zip(albedo).map(of).collect())
-            }
-            Self::Texels(_) => None,
-        }
+        let along = match self {
+            Self::Everywhere(along) => vec![*along; albedo.len()],
+            Self::Texels(along) => along.clone(),
+        };
+        let sheen = |(along, albedo): (&Vec3, &Vec3)| DiffuseSheen(*along - *albedo);
+        (along.len() == albedo.len()).then(|| along.iter().zip(albedo).map(sheen).collect())
     }
 
     /// Resamples the albedo for texels of the same surface at these places among those of now.
@@ -76,8 +74,7 @@ impl KnownAlong {
 /// # Errors
 /// If the pool of texels is incomplete.
 pub fn write_albedo(world: &mut World, albedo: Vec<Vec3>) -> Result<()> {
-    let sheen = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(&albedo));
-    if let Some(sheen) = sheen {
+    if let Some(sheen) = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(&albedo)) {
         write_column::<TexelIndex, DiffuseSheen>(world, &sheen)?;
     }
     let albedo: Vec<DiffuseAlbedo> = albedo.into_iter().map(DiffuseAlbedo).collect();
@@ -94,11 +91,7 @@ mod tests {
         let (albedo, sheen) = (Vec3::new(0.2, 0.4, 0.6), Vec3::new(0.3, 0.0, -0.5));
         assert_eq!(albedo_toward(albedo, sheen, 1.0), albedo);
         assert_eq!(albedo_toward(albedo, sheen, 0.0), albedo + sheen);
-        assert_eq!(
-            albedo_toward(albedo, sheen, -0.5),
-            albedo + sheen,
-            "seen from behind, as along the surface"
-        );
+        assert_eq!(albedo_toward(albedo, sheen, -0.5), albedo + sheen, "from behind, as along the surface");
         assert_eq!(albedo_toward(albedo, Vec3::ZERO, 0.3), albedo);
     }
 
@@ -114,10 +107,9 @@ mod tests {
         for known in [KnownAlong::Everywhere(Vec3::Y), KnownAlong::Texels(vec![Vec3::Y; 3])] {
             world.insert_resource(known);
             write_albedo(&mut world, new.clone()).unwrap();
-            let along = |(sheen, albedo): (&DiffuseSheen, &Vec3)| sheen.0 + *albedo;
-            assert!(
-                sheen(&mut world).iter().zip(&new).map(along).all(|along| along.abs_diff_eq(Vec3::Y, 1e-6))
-            );
+            for (sheen, albedo) in sheen(&mut world).iter().zip(&new) {
+                assert!((sheen.0 + *albedo).abs_diff_eq(Vec3::Y, 1e-6));
+            }
         }
         assert_eq!(KnownAlong::Texels(Vec::new()).sheen(&new), None);
     }

@@ -1,12 +1,7 @@
 //! The material that a frame shows. It is computed from the recovered one, which never changes, so that edits need not be undone.
 //!
-//! The system in [`Slot::Material`](crate::pipeline::Slot::Material) writes it. Swap that system to change the edits:
-//!
-//! | system | shows |
-//! | --- | --- |
-//! | [`show_recovered`] | the recovered material as it is |
-//! | [`show_edited`] | the recovered material with the edits of one name ([`EditName`]), in their order |
-//! | your own system | what it makes of the recovered material ([`Composition::compose`]) |
+//! The system in [`Slot::Material`](crate::pipeline::Slot::Material) writes it: [`show_recovered`], [`show_edited`], or one of your
+//! own ([`Composition::compose`]).
 
 use super::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit};
 use super::material_source::{
@@ -16,18 +11,12 @@ use super::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, Shown, SpecularBlend, SpecularLobe, TexelIndex,
     Texels, spawn_texels,
 };
-use crate::pipeline::SystemResult;
-use crate::pipeline::pool::read_column;
-use bevy_ecs::change_detection::DetectChangesMut;
-use bevy_ecs::component::Mutable;
-use bevy_ecs::prelude::{
-    Changed, Commands, Component, Entity, IntoScheduleConfigs, Local, Or, Query, SystemCondition, With,
-    Without, World,
-};
-use bevy_ecs::schedule::ScheduleConfigs;
+use crate::{pipeline::SystemResult, pipeline::pool::read_column};
+use bevy_ecs::prelude::*;
 use bevy_ecs::system::{ScheduleSystem, SystemParam};
+use bevy_ecs::{change_detection::DetectChangesMut, component::Mutable, schedule::ScheduleConfigs};
 use glam::Vec3;
-use lobelia_geometry::error::Result;
+use lobelia_geometry::Result;
 
 /// Shown components of a texel's material.
 type ShownTexel = (
@@ -170,23 +159,16 @@ pub fn shown_material(world: &mut World) -> Result<MaterialState> {
 }
 
 fn material_state<M: MaterialSource>(world: &mut World) -> Result<MaterialState> {
-    let mut state = MaterialState {
-        albedo: values::<M, _>(world)?,
-        sheen: values::<M, _>(world)?,
-        tilt: values::<M, _>(world)?,
-        blends: values::<M, _>(world)?,
-        lobes: Vec::new(),
-    };
+    let (albedo, sheen, tilt) = (values::<M, _>(world)?, values::<M, _>(world)?, values::<M, _>(world)?);
+    let blends = values::<M, _>(world)?;
+    let mut state = MaterialState { albedo, sheen, tilt, blends, lobes: Vec::new() };
     for (number, lobe) in world.query::<(&BaseMaterial, &ColumnOf<M, SpecularLobe>)>().iter(world) {
         state.set_lobe(*number, lobe.value())?;
     }
     Ok(state)
 }
 
-fn values<M: MaterialSource, T>(world: &mut World) -> Result<Vec<T>>
-where
-    T: Component<Mutability = Mutable> + Copy,
-{
+fn values<M: MaterialSource, T: Component<Mutability = Mutable> + Copy>(world: &mut World) -> Result<Vec<T>> {
     Ok(read_column::<TexelIndex, ColumnOf<M, T>>(world)?.iter().map(Holds::value).collect())
 }
 

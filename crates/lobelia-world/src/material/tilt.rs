@@ -35,12 +35,9 @@ impl DirectionalAlbedo {
     pub fn mixed(address: &TexelAddress, of: impl Fn(usize) -> Self) -> Self {
         let parts = address.indices.into_iter().zip(address.weights);
         parts.fold(Self::default(), |sum, (texel, weight)| {
-            let Self { albedo, sheen, tilt } = of(texel as usize);
-            Self {
-                albedo: sum.albedo + albedo * weight,
-                sheen: sum.sheen + sheen * weight,
-                tilt: sum.tilt + tilt * weight,
-            }
+            let at = of(texel as usize);
+            let (albedo, sheen) = (sum.albedo + at.albedo * weight, sum.sheen + at.sheen * weight);
+            Self { albedo, sheen, tilt: sum.tilt + at.tilt * weight }
         })
     }
 

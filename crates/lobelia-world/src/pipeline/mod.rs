@@ -21,10 +21,8 @@ use bevy_ecs::schedule::{
     InternedScheduleLabel, InternedSystemSet, ScheduleCleanupPolicy, ScheduleLabel, SingleThreadedExecutor,
 };
 use bevy_ecs::system::ScheduleSystem;
-use lobelia_geometry::error::{Error, Result};
-use std::any::TypeId;
-use std::cell::RefCell;
-use std::collections::HashSet;
+use lobelia_geometry::{Error, Result};
+use std::{any::TypeId, cell::RefCell, collections::HashSet};
 
 /// The stages of a phase, in the order they run.
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -92,30 +90,25 @@ pub enum Slot {
 }
 
 impl Slot {
-    const ALL: [Self; 12] = [
-        Self::Material,
-        Self::Light,
-        Self::Visibility,
-        Self::Shading,
-        Self::ShadingAdjoint,
-        Self::Optimizer,
-        Self::Recast,
-        Self::Retrace,
-        Self::ShapeGradient,
-        Self::ShapeUpdate,
-        Self::CameraGradient,
-        Self::CameraUpdate,
+    /// All slots, in order, with their stages.
+    const STAGES: [(Self, Stage); 12] = [
+        (Self::Material, Stage::Gather),
+        (Self::Light, Stage::Gather),
+        (Self::Visibility, Stage::Gather),
+        (Self::Shading, Stage::Shade),
+        (Self::ShadingAdjoint, Stage::Gradient),
+        (Self::Optimizer, Stage::Update),
+        (Self::Recast, Stage::Trace),
+        (Self::Retrace, Stage::Trace),
+        (Self::ShapeGradient, Stage::Gradient),
+        (Self::ShapeUpdate, Stage::Update),
+        (Self::CameraGradient, Stage::Gradient),
+        (Self::CameraUpdate, Stage::Update),
     ];
 
     /// The stage that it belongs to.
     pub fn stage(self) -> Stage {
-        match self {
-            Self::Material | Self::Light | Self::Visibility => Stage::Gather,
-            Self::Shading => Stage::Shade,
-            Self::Recast | Self::Retrace => Stage::Trace,
-            Self::ShadingAdjoint | Self::ShapeGradient | Self::CameraGradient => Stage::Gradient,
-            Self::Optimizer | Self::ShapeUpdate | Self::CameraUpdate => Stage::Update,
-        }
+        Self::STAGES[self as usize].1
     }
 }
 
@@ -195,27 +188,18 @@ impl Pipeline {
     /// Adds a custom phase with all stages and slots. Its systems run one after another on the calling thread; they are
     /// parallel inside, over slices.
     pub fn add_phase(&mut self, phase: impl ScheduleLabel) -> &mut Self {
-        let stages = (
-            Stage::Sample,
-            Stage::Trace,
-            Stage::Gather,
-            Stage::Shade,
-            Stage::Loss,
-            Stage::Gradient,
-            Stage::Update,
-            Stage::Resolve,
-            Stage::Write,
-        );
+        use Stage::*;
         let mut schedule = Schedule::new(phase);
         schedule.set_executor(SingleThreadedExecutor::new());
-        schedule.configure_sets(stages.chain());
-        for slot in Slot::ALL {
-            schedule.configure_sets(slot.in_set(slot.stage()));
+        schedule
+            .configure_sets((Sample, Trace, Gather, Shade, Loss, Gradient, Update, Resolve, Write).chain());
+        for (slot, stage) in Slot::STAGES {
+            schedule.configure_sets(slot.in_set(stage));
         }
         schedule.configure_sets((
-            (Slot::Material, Slot::Light, GatherPoints.in_set(Stage::Gather), Slot::Visibility).chain(),
+            (Slot::Material, Slot::Light, GatherPoints.in_set(Gather), Slot::Visibility).chain(),
             (Slot::Recast, Slot::Retrace).chain(),
-            (Slot::ShadingAdjoint, ScatterAdjoints.in_set(Stage::Gradient), Slot::ShapeGradient).chain(),
+            (Slot::ShadingAdjoint, ScatterAdjoints.in_set(Gradient), Slot::ShapeGradient).chain(),
         ));
         self.world.get_resource_or_init::<Schedules>().insert(schedule);
         self

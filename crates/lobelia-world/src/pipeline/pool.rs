@@ -6,14 +6,12 @@
 //! additional component or another order moves entities to other rows or tables, columns are copied in and out in the order of
 //! the indices. The results are the same, but this is slower.
 
-use bevy_ecs::change_detection::ContiguousMut;
-use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::{Component, Entity, Query, World};
-use bevy_ecs::query::ContiguousQueryData;
 use bevy_ecs::system::{SystemParam, SystemState};
-use lobelia_geometry::error::{Error, Result};
+use bevy_ecs::{change_detection::ContiguousMut, component::Mutable, query::ContiguousQueryData};
+use lobelia_geometry::{Error, Result};
 use std::ops::{Deref, DerefMut, Range};
-use std::sync::Arc;
+use std::{borrow::Cow, sync::Arc};
 
 /// The row of an entity in its pool: 0 to the length of the pool − 1, each once.
 pub trait PoolIndex: Component {
@@ -93,31 +91,29 @@ impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
 
 /// Whether the entities at `rows` of a table have these indices. Without early exit, so that it compiles to a vector loop.
 fn in_order<I: PoolIndex>(index: &[I], rows: &Range<usize>) -> bool {
-    let part = index.get(rows.clone());
-    part.is_some_and(|part| {
-        part.iter().zip(rows.clone()).fold(0, |off, (index, row)| off | (index.row() ^ row)) == 0
-    })
+    let Some(part) = index.get(rows.clone()) else { return false };
+    part.iter().zip(rows.clone()).fold(0, |off, (index, row)| off | (index.row() ^ row)) == 0
 }
 
-/// Location of a row of a pool: chunk, and row in it.
-type TableRow = (u32, u32);
+/// Locations of rows of a pool: chunk, and row in it.
+type Places = Arc<[(u32, u32)]>;
 
-fn places<I: PoolIndex>(indices: &[&[I]], rows: &Range<usize>) -> Result<Arc<[TableRow]>> {
-    const NOWHERE: TableRow = (u32::MAX, u32::MAX);
+fn places<I: PoolIndex>(indices: &[&[I]], rows: &Range<usize>) -> Result<Places> {
+    const NOWHERE: (u32, u32) = (u32::MAX, u32::MAX);
+    let wrong = |row, what| failed::<I>(format!("{} {row} {what}: indices count from 0, each once", I::NAME));
     let mut places = vec![NOWHERE; rows.len()];
     for (chunk, index) in indices.iter().enumerate() {
         for (place, index) in index.iter().enumerate() {
-            let Some(slot) = index.row().checked_sub(rows.start).and_then(|row| places.get_mut(row)) else {
-                continue;
-            };
+            let slot = index.row().checked_sub(rows.start).and_then(|row| places.get_mut(row));
+            let Some(slot) = slot else { continue };
             if *slot != NOWHERE {
-                return Err(wrong_row::<I>(index.row(), "is duplicate"));
+                return Err(wrong(index.row(), "is duplicate"));
             }
             *slot = (chunk as u32, place as u32);
         }
     }
     match places.iter().position(|place| *place == NOWHERE) {
-        Some(missing) => Err(wrong_row::<I>(rows.start + missing, "is missing")),
+        Some(missing) => Err(wrong(rows.start + missing, "is missing")),
         None => Ok(places.into()),
     }
 }
@@ -126,59 +122,27 @@ fn failed<I: PoolIndex>(problem: impl Into<String>) -> Error {
     Error::run(format!("the {} pool", I::NAME), problem)
 }
 
-fn wrong_row<I: PoolIndex>(row: usize, problem: &str) -> Error {
-    failed::<I>(format!("{} {row} {problem}: indices count from 0, each once", I::NAME))
-}
-
 /// The column types of a [`Pool`]: `&T` and `&mut T` of `Copy` components, and tuples of these.
 pub trait Columns: ContiguousQueryData {
-    /// The columns as slices: [`Column`] for `&T`, [`ColumnMut`] for `&mut T`.
+    /// The columns as slices: `Cow<[T]>` for `&T`, of the table or copied in the order of the indices; [`ColumnMut`] for `&mut T`.
     type Slices<'w>;
 
     /// Consecutive rows of a table.
-    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> Self::Slices<'w>;
+    fn slices<'w>(chunk: Self::Contiguous<'w, '_>, rows: Range<usize>, marks: bool) -> Self::Slices<'w>;
 
     /// Rows from several locations, copied in order.
-    fn gathered<'w, 's>(
-        chunks: Vec<Self::Contiguous<'w, 's>>,
-        places: &Arc<[TableRow]>,
-        marks: bool,
-    ) -> Self::Slices<'w>;
-}
-
-/// A column that is read.
-pub enum Column<'w, T> {
-    /// A slice of the table.
-    Table(&'w [T]),
-    /// A copy in the order of the indices.
-    Copied(Vec<T>),
-}
-
-impl<T> Deref for Column<'_, T> {
-    type Target = [T];
-
-    #[inline]
-    fn deref(&self) -> &[T] {
-        match self {
-            Self::Table(slice) => slice,
-            Self::Copied(values) => values,
-        }
-    }
+    fn gathered<'w>(chunks: Vec<Self::Contiguous<'w, '_>>, places: &Places, marks: bool) -> Self::Slices<'w>;
 }
 
 impl<T: Component + Copy> Columns for &'static T {
-    type Slices<'w> = Column<'w, T>;
+    type Slices<'w> = Cow<'w, [T]>;
 
-    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, _marks: bool) -> Column<'w, T> {
-        Column::Table(&chunk[rows])
+    fn slices<'w>(chunk: Self::Contiguous<'w, '_>, rows: Range<usize>, _marks: bool) -> Cow<'w, [T]> {
+        Cow::Borrowed(&chunk[rows])
     }
 
-    fn gathered<'w, 's>(
-        chunks: Vec<Self::Contiguous<'w, 's>>,
-        places: &Arc<[TableRow]>,
-        _marks: bool,
-    ) -> Column<'w, T> {
-        Column::Copied(places.iter().map(|&(chunk, place)| chunks[chunk as usize][place as usize]).collect())
+    fn gathered<'w>(chunks: Vec<Self::Contiguous<'w, '_>>, places: &Places, _marks: bool) -> Cow<'w, [T]> {
+        places.iter().map(|&(chunk, place)| chunks[chunk as usize][place as usize]).collect()
     }
 }
 
@@ -191,7 +155,7 @@ pub struct ColumnMut<'w, T: Copy> {
 
 enum Source<'w, T> {
     Table { chunk: ContiguousMut<'w, T>, rows: Range<usize> },
-    Copied { values: Vec<T>, chunks: Vec<ContiguousMut<'w, T>>, places: Arc<[TableRow]> },
+    Copied { values: Vec<T>, chunks: Vec<ContiguousMut<'w, T>>, places: Places },
 }
 
 impl<T: Copy> ColumnMut<'_, T> {
@@ -249,17 +213,12 @@ impl<T: Copy> Drop for ColumnMut<'_, T> {
 impl<T: Component<Mutability = Mutable> + Copy> Columns for &'static mut T {
     type Slices<'w> = ColumnMut<'w, T>;
 
-    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> ColumnMut<'w, T> {
+    fn slices<'w>(chunk: Self::Contiguous<'w, '_>, rows: Range<usize>, marks: bool) -> ColumnMut<'w, T> {
         ColumnMut { source: Source::Table { chunk, rows }, marks }
     }
 
-    fn gathered<'w, 's>(
-        chunks: Vec<Self::Contiguous<'w, 's>>,
-        places: &Arc<[TableRow]>,
-        marks: bool,
-    ) -> ColumnMut<'w, T> {
-        let value = |&(chunk, place): &TableRow| chunks[chunk as usize][place as usize];
-        let values = places.iter().map(value).collect();
+    fn gathered<'w>(chunks: Vec<Self::Contiguous<'w, '_>>, places: &Places, marks: bool) -> ColumnMut<'w, T> {
+        let values = places.iter().map(|&(chunk, place)| chunks[chunk as usize][place as usize]).collect();
         ColumnMut { source: Source::Copied { values, chunks, places: places.clone() }, marks }
     }
 }
@@ -271,16 +230,12 @@ macro_rules! tuple_columns {
         impl<$($name: Columns),*> Columns for ($($name,)*) {
             type Slices<'w> = ($($name::Slices<'w>,)*);
 
-            fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> Self::Slices<'w> {
+            fn slices<'w>(chunk: Self::Contiguous<'w, '_>, rows: Range<usize>, marks: bool) -> Self::Slices<'w> {
                 let ($($value,)*) = chunk;
                 ($($name::slices($value, rows.clone(), marks),)*)
             }
 
-            fn gathered<'w, 's>(
-                chunks: Vec<Self::Contiguous<'w, 's>>,
-                places: &Arc<[TableRow]>,
-                marks: bool,
-            ) -> Self::Slices<'w> {
+            fn gathered<'w>(chunks: Vec<Self::Contiguous<'w, '_>>, places: &Places, marks: bool) -> Self::Slices<'w> {
                 // Vectors have the names of the types, their elements the names of the values.
                 $(let mut $name = Vec::with_capacity(chunks.len());)*
                 for ($($value,)*) in chunks {

@@ -10,22 +10,18 @@
 pub mod pixel;
 pub mod point;
 
-use crate::light::LightLobe;
-use crate::light::lights::IncidentLight;
-use crate::light::placement::PlacedFrame;
 use crate::material::{DiffuseAlbedo, SpecularLobe, TexelIndex, spawn_materials};
 use crate::pipeline::pool::{Columns, Pool, despawn_rows, pool_index};
+use crate::{light::LightLobe, light::lights::IncidentLight, light::placement::PlacedFrame};
 use bevy_ecs::prelude::{Bundle, Component, Entity, Query, Res, Resource, With, World};
 use bevy_ecs::system::SystemParam;
 use glam::{Mat3, Vec3};
-use lobelia_geometry::error::Result;
-use lobelia_geometry::mesh::Surface;
 use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
+use lobelia_geometry::{Result, mesh::Surface};
 use lobelia_sg::shading::{Layers, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint};
 use pixel::{ImageGradient, Observed, PixelOf, SampleIndex, ViewRay, Window};
 use point::{PointBlend, Scenery, SurfacePoint};
-use std::ops::Range;
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 /// The columns of a sample that is rendered.
 #[derive(Bundle, Clone, Copy, Default)]
@@ -129,9 +125,8 @@ pub fn spawn_object(
     light: &[LightLobe],
 ) {
     world.insert_resource(Scenery(surface.clone()));
-    world.spawn_batch(
-        (0..).map(TexelIndex).zip(albedo.iter().copied().map(DiffuseAlbedo)).collect::<Vec<_>>(),
-    );
+    let texels = (0..).map(TexelIndex).zip(albedo.iter().copied().map(DiffuseAlbedo));
+    world.spawn_batch(texels.collect::<Vec<_>>());
     spawn_materials(world, materials);
     world.spawn_batch(light.to_vec());
 }
@@ -162,8 +157,8 @@ pub fn light_rotations(
     if frame.is_still() {
         return ByView::default();
     }
-    let rotation = |camera: Camera, placement| {
-        frame.light_from_world(camera.world_from_camera.matrix3.into(), placement)
+    let rotation = |(index, camera, placement): (ViewIndex, Camera, Placement)| {
+        (index, frame.light_from_world(camera.world_from_camera.matrix3.into(), placement))
     };
-    views.map(|(index, camera, placement)| (index, rotation(camera, placement))).collect()
+    views.map(rotation).collect()
 }

@@ -23,13 +23,8 @@ pub struct SurfacePoint {
 
 impl Default for SurfacePoint {
     fn default() -> Self {
-        Self {
-            position: Vec3::ZERO,
-            normal: Vec3::ZERO,
-            geometric_normal: Vec3::ZERO,
-            distance: f32::INFINITY,
-            texels: TexelAddress::default(),
-        }
+        let [position, normal, geometric_normal] = [Vec3::ZERO; 3];
+        Self { position, normal, geometric_normal, distance: f32::INFINITY, texels: TexelAddress::default() }
     }
 }
 
@@ -42,13 +37,10 @@ impl SurfacePoint {
 
 impl From<Option<Hit>> for SurfacePoint {
     fn from(hit: Option<Hit>) -> Self {
-        hit.map_or_else(Self::default, |hit| Self {
-            position: hit.position,
-            normal: hit.normal,
-            geometric_normal: hit.geometric_normal,
-            distance: hit.distance,
-            texels: hit.texels,
-        })
+        let Some(Hit { distance, position, normal, geometric_normal, texels, .. }) = hit else {
+            return Self::default();
+        };
+        Self { position, normal, geometric_normal, distance, texels }
     }
 }
 

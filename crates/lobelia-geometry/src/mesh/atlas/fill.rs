@@ -17,28 +17,19 @@ const FINEST_CELLS: u32 = 128;
 /// # Panics
 /// If the three lengths differ.
 pub fn fill_uncovered(values: &mut [Vec3], known: &[bool], atlas: &TexelAtlas) {
-    assert!(
-        values.len() == known.len() && known.len() == atlas.covered.len(),
-        "one value and one flag per texel"
-    );
+    let is_whole = values.len() == known.len() && known.len() == atlas.covered.len();
+    assert!(is_whole, "one value and one flag per texel");
     let mut filled: Vec<bool> = values.iter().zip(known).map(|(v, &k)| k && v.is_finite()).collect();
-    fill_by_nearness(values, &mut filled, atlas);
-    pad_outwards(values, &mut filled, atlas.width as usize, atlas.height as usize);
-}
-
-/// Fills covered texels from known covered ones by world position.
-fn fill_by_nearness(values: &mut [Vec3], filled: &mut [bool], atlas: &TexelAtlas) {
     let sources: Vec<usize> = (0..values.len()).filter(|&i| filled[i] && atlas.covered[i]).collect();
-    if sources.is_empty() {
-        return;
-    }
-    let pyramid = Pyramid::new(atlas, values, &sources);
-    for i in 0..values.len() {
-        if atlas.covered[i] && !filled[i] {
-            values[i] = pyramid.sample(atlas.position[i]);
-            filled[i] = true;
+    if !sources.is_empty() {
+        let pyramid = Pyramid::new(atlas, values, &sources);
+        for i in (0..values.len()).filter(|&i| atlas.covered[i]) {
+            if !std::mem::replace(&mut filled[i], true) {
+                values[i] = pyramid.sample(atlas.position[i]);
+            }
         }
     }
+    pad_outwards(values, &mut filled, atlas.width as usize, atlas.height as usize);
 }
 
 /// Mean known values in cubic grids over the object, each half as fine as the one before; the last has one cell.
@@ -56,9 +47,6 @@ impl Pyramid {
         let low = covered().fold(Vec3::INFINITY, Vec3::min);
         let side = (covered().fold(Vec3::NEG_INFINITY, Vec3::max) - low).max_element().max(f32::MIN_POSITIVE);
         let mut pyramid = Self { low, levels: Vec::new(), scale: 1.0 / side };
-        if !pyramid.scale.is_finite() {
-            pyramid.scale = 0.0;
-        }
         // A grid finer than the spacing of texels only costs memory: use about as many cells per side as texels.
         let mut cells = (2 * atlas.width.max(atlas.height) / 3).next_power_of_two().min(FINEST_CELLS);
         let mut sums = vec![(Vec3::ZERO, 0.0); (cells * cells * cells) as usize];
@@ -77,8 +65,15 @@ impl Pyramid {
             if cells == 1 {
                 return pyramid;
             }
-            sums = halved(&sums, cells);
-            cells /= 2;
+            let half = cells / 2;
+            let mut coarse = vec![(Vec3::ZERO, 0.0); (half * half * half) as usize];
+            for (i, (sum, count)) in (0..).zip(&sums) {
+                let [x, y, z] = [i % cells, i / cells % cells, i / (cells * cells)].map(|c| c / 2);
+                let to = &mut coarse[((z * half + y) * half + x) as usize];
+                to.0 += *sum;
+                to.1 += count;
+            }
+            (sums, cells) = (coarse, half);
         }
     }
 
@@ -119,31 +114,13 @@ fn trilinear(cells: u32, means: &[(Vec3, f32)], unit: Vec3) -> (Vec3, f32) {
     total
 }
 
-/// Sums of 2×2×2 cells.
-fn halved(sums: &[(Vec3, f32)], cells: u32) -> Vec<(Vec3, f32)> {
-    let half = cells / 2;
-    let mut out = vec![(Vec3::ZERO, 0.0); (half * half * half) as usize];
-    for z in 0..cells {
-        for y in 0..cells {
-            for x in 0..cells {
-                let from = sums[((z * cells + y) * cells + x) as usize];
-                let to = &mut out[(((z / 2) * half + y / 2) * half + x / 2) as usize];
-                to.0 += from.0;
-                to.1 += from.1;
-            }
-        }
-    }
-    out
-}
-
 /// Grows values ring by ring: each empty texel gets the mean of its neighbors from previous rings.
 fn pad_outwards(values: &mut [Vec3], filled: &mut [bool], width: usize, height: usize) {
     let neighbors = |i: usize| {
         let (x, y) = (i % width, i / width);
-        let rows = y.saturating_sub(1)..(y + 2).min(height);
-        rows.flat_map(move |row| {
-            (x.saturating_sub(1)..(x + 2).min(width)).map(move |column| row * width + column)
-        })
+        let (rows, columns) =
+            (y.saturating_sub(1)..(y + 2).min(height), x.saturating_sub(1)..(x + 2).min(width));
+        rows.flat_map(move |row| columns.clone().map(move |column| row * width + column))
     };
     let mut ring: Vec<usize> =
         (0..values.len()).filter(|&i| !filled[i] && neighbors(i).any(|n| filled[n])).collect();
@@ -152,9 +129,8 @@ fn pad_outwards(values: &mut [Vec3], filled: &mut [bool], width: usize, height: 
     while !ring.is_empty() {
         let mut next = Vec::new();
         for &i in &ring {
-            let (sum, count) = neighbors(i)
-                .filter(|&n| filled[n])
-                .fold((Vec3::ZERO, 0.0), |(sum, count), n| (sum + values[n], count + 1.0));
+            let known = neighbors(i).filter(|&n| filled[n]).map(|n| values[n]);
+            let (sum, count) = known.fold((Vec3::ZERO, 0.0), |(sum, count), v| (sum + v, count + 1.0));
             values[i] = sum / count;
             for n in neighbors(i) {
                 if !std::mem::replace(&mut queued[n], true) {
@@ -213,9 +189,8 @@ mod tests {
         let seen: Vec<bool> =
             (0..atlas.covered.len()).map(|i| atlas.covered[i] && atlas.position[i].y > -0.7).collect();
         let color = |p: Vec3| if p.x > 0.0 { Vec3::X } else { Vec3::Y };
-        let mut values: Vec<Vec3> = (0..seen.len())
-            .map(|i| if seen[i] { color(atlas.position[i]) } else { Vec3::splat(9.0) })
-            .collect();
+        let start = |i: usize| if seen[i] { color(atlas.position[i]) } else { Vec3::splat(9.0) };
+        let mut values: Vec<Vec3> = (0..seen.len()).map(start).collect();
         let before = values.clone();
         fill_uncovered(&mut values, &seen, &atlas);
         let mut filled = 0;

@@ -12,11 +12,9 @@ mod unwrap;
 pub use fill::fill_uncovered;
 pub use unwrap::{UnwrappedMesh, unwrap_mesh};
 
-use crate::mesh::triangles::Mesh;
-use crate::view::raster::bilinear;
+use crate::{mesh::triangles::Mesh, view::raster::bilinear};
 use glam::{DVec2, DVec3, Vec2, Vec3};
-use lobelia_sg::ray::TexelAddress;
-use lobelia_sg::statistics::median;
+use lobelia_sg::{ray::TexelAddress, statistics::median};
 
 /// Distance from a triangle, in texels, within which texels are covered: a bilinear footprint is the square of half-width 1 around a
 /// texel center, whose corners are √2 away.
@@ -43,13 +41,8 @@ impl TexelAtlas {
     /// If several triangles reach a texel, the one nearest to its center is used; of equal ones, the first.
     pub fn new(mesh: &Mesh, width: u32, height: u32) -> Self {
         let count = width as usize * height as usize;
-        let mut atlas = Self {
-            width,
-            height,
-            position: vec![Vec3::ZERO; count],
-            normal: vec![Vec3::ZERO; count],
-            covered: vec![false; count],
-        };
+        let (position, normal) = (vec![Vec3::ZERO; count], vec![Vec3::ZERO; count]);
+        let mut atlas = Self { width, height, position, normal, covered: vec![false; count] };
         let mut nearest = vec![REACH; count];
         let size = DVec2::new(f64::from(width), f64::from(height));
         for triangle in mesh.uvs.iter().flat_map(|_| &mesh.triangles) {
@@ -72,10 +65,9 @@ impl TexelAtlas {
     /// Median distance in the world between covered texels that are neighbors in a row; zero if nothing is covered.
     pub fn texel_size(&self) -> f32 {
         let width = self.width as usize;
-        let pairs =
-            (1..self.covered.len()).filter(|t| t % width > 0 && self.covered[*t] && self.covered[t - 1]);
-        let mut distances: Vec<f32> =
-            pairs.map(|t| self.position[t].distance(self.position[t - 1])).collect();
+        let is_pair = |t: &usize| t % width > 0 && self.covered[*t] && self.covered[t - 1];
+        let distance = |t: usize| self.position[t].distance(self.position[t - 1]);
+        let mut distances: Vec<f32> = (1..self.covered.len()).filter(is_pair).map(distance).collect();
         median(&mut distances).unwrap_or(0.0)
     }
 }

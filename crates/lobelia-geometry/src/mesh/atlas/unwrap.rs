@@ -1,12 +1,9 @@
 //! Texture coordinates for meshes that have none, or unusable ones.
 
 use crate::mesh::atlas::chart::{Chart, charts};
-use crate::mesh::atlas::pack::pack;
 use crate::mesh::atlas::{texels_near, texture_corners};
-use crate::mesh::triangles::Mesh;
-use crate::{Error, Result};
-use glam::DVec2;
-use glam::Vec2;
+use crate::{Error, Result, mesh::atlas::pack::pack, mesh::triangles::Mesh};
+use glam::{DVec2, Vec2};
 use std::collections::HashMap;
 
 /// Largest fraction of the covered texels on which existing coordinates may overlap.
@@ -38,18 +35,21 @@ pub struct UnwrappedMesh {
 /// [`Error::Usage`] if the charts do not fit the texture, [`Error::Run`] if the mesh cannot be unwrapped, [`Error::Interrupted`] if the
 /// work is to stop.
 pub fn unwrap_mesh(mesh: &Mesh, texture_size: u32) -> Result<UnwrappedMesh> {
-    let Some(uvs) = &mesh.uvs else { return unwrap_again(mesh, texture_size, None) };
-    match fault(mesh, uvs, texture_size) {
-        Some(fault) => {
-            let note = format!("the mesh's own texture coordinates were replaced: {fault}");
-            unwrap_again(mesh, texture_size, Some(note))
-        }
-        None => {
-            let mut mesh = mesh.clone();
-            mesh.uvs.iter_mut().flatten().for_each(|uv| *uv = uv.clamp(Vec2::ZERO, Vec2::ONE));
-            Ok(UnwrappedMesh { mesh, charts: None, note: None })
-        }
+    let fault = mesh.uvs.as_ref().map(|uvs| fault(mesh, uvs, texture_size));
+    if let Some(None) = fault {
+        let mut mesh = mesh.clone();
+        mesh.uvs.iter_mut().flatten().for_each(|uv| *uv = uv.clamp(Vec2::ZERO, Vec2::ONE));
+        return Ok(UnwrappedMesh { mesh, charts: None, note: None });
     }
+    mesh.check_lists().map_err(|problem| Error::run("unwrapping the mesh", problem))?;
+    let mut charts = charts(mesh)?;
+    let count = charts.len() as u32;
+    if !pack(&mut charts, texture_size) {
+        let problem = format!("the {count} charts of the unwrapped mesh do not fit {texture_size}² texels");
+        return Err(Error::usage(problem, "Say a larger `texture_size` in `surface`."));
+    }
+    let note = fault.flatten().map(|why| format!("the mesh's own texture coordinates were replaced: {why}"));
+    Ok(UnwrappedMesh { mesh: with_places(mesh, &charts, texture_size), charts: Some(count), note })
 }
 
 /// The reason why these texture coordinates do not have one texel per surface point, if there is one.
@@ -102,17 +102,6 @@ fn overlapping_part(mesh: &Mesh, grid: u32) -> f64 {
     let covered = counts.iter().filter(|&&c| c > 0).count();
     let shared = counts.iter().filter(|&&c| c > 1).count();
     shared as f64 / covered.max(1) as f64
-}
-
-fn unwrap_again(mesh: &Mesh, texture_size: u32, note: Option<String>) -> Result<UnwrappedMesh> {
-    mesh.check_lists().map_err(|problem| Error::run("unwrapping the mesh", problem))?;
-    let mut charts = charts(mesh)?;
-    let count = charts.len() as u32;
-    if !pack(&mut charts, texture_size) {
-        let problem = format!("the {count} charts of the unwrapped mesh do not fit {texture_size}² texels");
-        return Err(Error::usage(problem, "Say a larger `texture_size` in `surface`."));
-    }
-    Ok(UnwrappedMesh { mesh: with_places(mesh, &charts, texture_size), charts: Some(count), note })
 }
 
 /// The mesh with texture coordinates from places in texels. A triangle in no chart, which has no area, collapses to a point of the texture.

@@ -9,8 +9,8 @@
 //! gradient is taken through the Laplacian, as in Kovalsky, Galun, Lipman: "Accelerated quadratic proxy for geometric optimization",
 //! SIGGRAPH 2016, with conjugate directions instead of their acceleration.
 
-use super::{Patch, PlanarTriangle, area_in_plane};
-use glam::{DVec2, DVec3, IVec2};
+use super::{Patch, PlanarTriangle, area_in_plane, loops};
+use glam::{DVec2, DVec3};
 
 /// Largest part of the area that may face away from the view.
 const MOST_HIDDEN: f64 = 0.3;
@@ -49,29 +49,27 @@ pub struct Tolerance {
 /// The patch in the plane, as large as in the world and not mirrored: one place for each vertex, world units. `None` if it has no border, has
 /// handles, or cannot lie flat within the tolerance without triangles that are turned over or parts that overlap.
 pub fn flatten(patch: &Patch, tolerance: &Tolerance) -> Option<Vec<DVec2>> {
-    if !patch.is_planar() {
-        return None;
-    }
-    let flat = Flattening::new(patch);
-    let mut map = flat.view();
+    let mut map = patch.view();
     let is_hidden = |j: [DVec2; 2]| !energy(j).is_finite();
-    if flat.part(&map, is_hidden) > MOST_HIDDEN {
+    if !patch.is_planar() || patch.part(&map, is_hidden) > MOST_HIDDEN {
         return None;
     }
-    let laplacian = Laplacian::new(&flat);
+    let laplacian = Laplacian::new(patch);
     for _ in 0..UNFOLDING_ROUNDS {
-        if flat.part(&map, is_hidden) == 0.0 {
+        if patch.part(&map, is_hidden) == 0.0 {
             break;
         }
-        flat.unfold(&laplacian, &mut map);
+        patch.unfold(&laplacian, &mut map);
     }
-    flat.untangle(&laplacian, &mut map);
-    let found = flat.even_out(&laplacian, &mut map, EVENING);
-    let grown = flat.enlarge(&mut map);
+    patch.untangle(&laplacian, &mut map);
+    let found = patch.even_out(&laplacian, &mut map, EVENING);
+    // As large as the patch.
+    let factor = (patch.area / area_in_plane(&patch.triangles, &map)).sqrt();
+    map.iter_mut().for_each(|p| *p *= factor);
     let is_uneven = |[by_x, by_y]: [DVec2; 2]| !(0.5..=2.0).contains(&by_x.perp_dot(by_y));
     (found <= tolerance.mean
-        && grown
-        && flat.part(&map, is_uneven) <= tolerance.uneven
+        && factor.is_normal()
+        && patch.part(&map, is_uneven) <= tolerance.uneven
         && is_simple(&patch.border, &map))
     .then_some(map)
 }
@@ -92,38 +90,27 @@ fn energy_gradient([by_x, by_y]: [DVec2; 2]) -> [DVec2; 2] {
     [by_x * same - by_y.perp() * turned, by_y * same + by_x.perp() * turned]
 }
 
-/// A patch on its way into the plane.
-pub struct Flattening<'a> {
-    patch: &'a Patch,
-    /// Each triangle in its own plane.
-    shapes: Vec<PlanarTriangle>,
-}
-
-impl<'a> Flattening<'a> {
-    pub fn new(patch: &'a Patch) -> Self {
-        let shape = |t: &[u32; 3]| PlanarTriangle::new(t.map(|v| patch.points[v as usize]));
-        Self { patch, shapes: patch.triangles.iter().map(shape).collect() }
-    }
-
+/// On the way into the plane.
+impl Patch {
     /// The vertices along the patch's mean normal.
     fn view(&self) -> Vec<DVec2> {
-        let normal = self.patch.area_vector.try_normalize().unwrap_or(DVec3::Z);
+        let normal = self.area_vector.try_normalize().unwrap_or(DVec3::Z);
         let (right, up) = normal.any_orthonormal_pair();
-        let first = self.patch.points[0];
+        let first = self.points[0];
         // Counter-clockwise triangles stay so: (right, up, normal) is right-handed.
-        self.patch.points.iter().map(|p| DVec2::new((*p - first).dot(right), (*p - first).dot(up))).collect()
+        self.points.iter().map(|p| DVec2::new((*p - first).dot(right), (*p - first).dot(up))).collect()
     }
 
     /// Each triangle, its shape, and the derivatives of the map there.
     fn jacobians(&self, map: &[DVec2]) -> impl Iterator<Item = (&[u32; 3], &PlanarTriangle, [DVec2; 2])> {
-        let triangles = self.patch.triangles.iter().zip(&self.shapes);
+        let triangles = self.triangles.iter().zip(&self.shapes);
         triangles.map(|(t, shape)| (t, shape, shape.jacobian(t.map(|v| map[v as usize]))))
     }
 
     /// The part of the patch's area in triangles whose derivatives are such.
     fn part(&self, map: &[DVec2], is_such: impl Fn([DVec2; 2]) -> bool) -> f64 {
         let areas = self.jacobians(map).map(|(_, shape, j)| if is_such(j) { shape.area } else { 0.0 });
-        areas.sum::<f64>() / self.patch.area
+        areas.sum::<f64>() / self.area
     }
 
     /// One round of unfolding: turns each triangle to fit the map as it is, and moves the vertices to where these turned triangles meet
@@ -152,30 +139,23 @@ impl<'a> Flattening<'a> {
             vertices.sort_unstable();
             vertices.dedup();
             for vertex in vertices {
-                let around = laplacian.edges(vertex as usize);
+                let around = &laplacian.edges[vertex as usize];
                 let sum: DVec2 = around.iter().map(|(other, _)| map[*other as usize]).sum();
                 map[vertex as usize] = sum / around.len() as f64;
             }
         }
     }
 
-    /// Makes the map as large as the patch; false if that cannot be.
-    fn enlarge(&self, map: &mut [DVec2]) -> bool {
-        let factor = (self.patch.area / area_in_plane(&self.patch.triangles, map)).sqrt();
-        map.iter_mut().for_each(|p| *p *= factor);
-        factor.is_normal()
-    }
-
     /// Energy over the patch, divided by its area: at least 4; infinite if a triangle is turned over.
     pub fn mean_energy(&self, map: &[DVec2]) -> f64 {
-        self.jacobians(map).map(|(_, shape, j)| shape.area * energy(j)).sum::<f64>() / self.patch.area
+        self.jacobians(map).map(|(_, shape, j)| shape.area * energy(j)).sum::<f64>() / self.area
     }
 
     /// The adjoint of the map for [`Self::mean_energy`].
     pub fn gradient(&self, map: &[DVec2]) -> Vec<DVec2> {
         let mut sums = vec![DVec2::ZERO; map.len()];
         for (triangle, shape, j) in self.jacobians(map) {
-            let weight = shape.area / self.patch.area;
+            let weight = shape.area / self.area;
             let corners = shape.pull_back(energy_gradient(j).map(|column| column * weight));
             triangle.iter().zip(corners).for_each(|(v, corner)| sums[*v as usize] += corner);
         }
@@ -192,7 +172,7 @@ impl<'a> Flattening<'a> {
     ) -> f64 {
         let mut energy = self.mean_energy(map);
         let (mut direction, mut before): (Vec<DVec2>, Option<(Vec<DVec2>, f64)>) = (Vec::new(), None);
-        let mut step = 0.25 * self.patch.area;
+        let mut step = 0.25 * self.area;
         for _ in 0..rounds {
             if energy <= good || !energy.is_finite() {
                 break;
@@ -251,49 +231,43 @@ impl<'a> Flattening<'a> {
             let [p, q, r] = triangle.map(|v| map[v as usize]);
             let [dp, dq, dr] = triangle.map(|v| direction[v as usize]);
             let (u, v, du, dv) = (q - p, r - p, dq - dp, dr - dp);
-            smallest_root(du.perp_dot(dv), u.perp_dot(dv) + du.perp_dot(v), u.perp_dot(v))
+            // The smallest positive root of a t² + b t + c with c > 0, if there is one: of the two forms of the roots, those without
+            // cancellation.
+            let (a, b, c) = (du.perp_dot(dv), u.perp_dot(dv) + du.perp_dot(v), u.perp_dot(v));
+            let inside = b * b - 4.0 * a * c;
+            if inside < 0.0 {
+                return f64::INFINITY;
+            }
+            let q = -0.5 * (b + inside.sqrt().copysign(b));
+            [q / a, c / q].into_iter().filter(|t| *t > 0.0).fold(f64::INFINITY, f64::min)
         };
-        self.patch.triangles.iter().map(of_triangle).fold(f64::INFINITY, f64::min)
+        self.triangles.iter().map(of_triangle).fold(f64::INFINITY, f64::min)
     }
-}
-
-/// The smallest positive root of a t² + b t + c with c > 0; infinite if there is none.
-fn smallest_root(a: f64, b: f64, c: f64) -> f64 {
-    let inside = b * b - 4.0 * a * c;
-    if inside < 0.0 {
-        return f64::INFINITY;
-    }
-    // Of the two forms of the roots, those without cancellation.
-    let q = -0.5 * (b + inside.sqrt().copysign(b));
-    let roots = [q / a, c / q];
-    roots.into_iter().filter(|t| *t > 0.0).fold(f64::INFINITY, f64::min)
 }
 
 /// The cotangent Laplacian of a patch (Pinkall, Polthier: "Computing discrete minimal surfaces and their conjugates", Experimental
 /// Mathematics 2, 1993), as rows of edges: a symmetric matrix with the sums of its rows zero.
 #[derive(Debug)]
 pub struct Laplacian {
-    /// Where each vertex's edges begin.
-    begin: Vec<u32>,
-    /// The other vertex and the weight of each edge.
-    edges: Vec<(u32, f64)>,
+    /// The edges of each vertex: the other vertex, and the weight.
+    pub edges: Vec<Vec<(u32, f64)>>,
     /// Sum of the weights of each vertex's edges.
     diagonal: Vec<f64>,
 }
 
 impl Laplacian {
     /// The matrix of a patch; half the quadratic form is the Dirichlet energy, but for bounds of the weights.
-    pub fn new(flat: &Flattening) -> Self {
-        let mut rows: Vec<Vec<(u32, f64)>> = vec![Vec::with_capacity(8); flat.patch.points.len()];
+    pub fn new(patch: &Patch) -> Self {
+        let mut edges: Vec<Vec<(u32, f64)>> = vec![Vec::with_capacity(8); patch.points.len()];
         let mut add = |from: u32, to: u32, weight: f64| {
-            let row = &mut rows[from as usize];
+            let row = &mut edges[from as usize];
             match row.iter_mut().find(|(other, _)| *other == to) {
                 Some((_, sum)) => *sum += weight,
                 None => row.push((to, weight)),
             }
         };
-        for (triangle, shape) in flat.patch.triangles.iter().zip(&flat.shapes) {
-            let corners = [DVec2::ZERO, DVec2::new(shape.base, 0.0), shape.tip];
+        for (triangle, shape) in patch.triangles.iter().zip(&patch.shapes) {
+            let corners = shape.corners();
             for k in 0..3 {
                 let [a, b] = [corners[(k + 1) % 3] - corners[k], corners[(k + 2) % 3] - corners[k]];
                 let half_cotangent = 0.25 * a.dot(b) / shape.area;
@@ -302,25 +276,9 @@ impl Laplacian {
                 add(to, from, half_cotangent);
             }
         }
-        let mut laplacian = Self { begin: vec![0], edges: Vec::new(), diagonal: Vec::new() };
-        for row in rows {
-            let bounded = row.into_iter().map(|(to, weight)| (to, weight.clamp(WEIGHTS.0, WEIGHTS.1)));
-            let start = laplacian.edges.len();
-            laplacian.edges.extend(bounded);
-            laplacian.begin.push(laplacian.edges.len() as u32);
-            laplacian.diagonal.push(laplacian.edges[start..].iter().map(|(_, weight)| weight).sum());
-        }
-        laplacian
-    }
-
-    /// The edges of a vertex: the other vertex, and the weight.
-    pub fn edges(&self, vertex: usize) -> &[(u32, f64)] {
-        &self.edges[self.begin[vertex] as usize..self.begin[vertex + 1] as usize]
-    }
-
-    fn row_times(&self, vertex: usize, x: &[DVec2]) -> DVec2 {
-        let others: DVec2 = self.edges(vertex).iter().map(|(to, weight)| x[*to as usize] * *weight).sum();
-        x[vertex] * self.diagonal[vertex] - others
+        edges.iter_mut().flatten().for_each(|(_, weight)| *weight = weight.clamp(WEIGHTS.0, WEIGHTS.1));
+        let diagonal = edges.iter().map(|row| row.iter().map(|(_, weight)| weight).sum()).collect();
+        Self { edges, diagonal }
     }
 
     /// About the solution of L x = `right`, whose sum is zero, by conjugate gradients from x = 0 with the diagonal as preconditioner
@@ -331,16 +289,13 @@ impl Laplacian {
         let mut residual = right.to_vec();
         let mut direction = vec![DVec2::ZERO; right.len()];
         let mut image = direction.clone();
-        let (mut before, mut first) = (0.0, 0.0);
-        for round in 0..rounds {
+        let (mut before, mut first) = (0.0, None);
+        for _ in 0..rounds {
             let weighted: f64 =
                 residual.iter().zip(&self.diagonal).map(|(r, d)| r.length_squared() / d).sum();
-            if round == 0 {
-                first = weighted;
-            }
+            let goal = tolerance * tolerance * *first.get_or_insert(weighted);
             // Also where the right side is zero, or not a number.
-            let open = weighted > tolerance * tolerance * first && weighted.is_normal();
-            if !open {
+            if !(weighted > goal && weighted.is_normal()) {
                 break;
             }
             let share = if before > 0.0 { weighted / before } else { 0.0 };
@@ -348,10 +303,12 @@ impl Laplacian {
             for ((direction, residual), weight) in direction.iter_mut().zip(&residual).zip(&self.diagonal) {
                 *direction = *residual / *weight + *direction * share;
             }
-            image.iter_mut().enumerate().for_each(|(i, image)| *image = self.row_times(i, &direction));
+            for (vertex, (image, edges)) in image.iter_mut().zip(&self.edges).enumerate() {
+                let others: DVec2 = edges.iter().map(|(to, weight)| direction[*to as usize] * *weight).sum();
+                *image = direction[vertex] * self.diagonal[vertex] - others;
+            }
             let curvature: f64 = direction.iter().zip(&image).map(|(d, i)| d.dot(*i)).sum();
-            let convex = curvature > 0.0 && curvature.is_finite();
-            if !convex {
+            if !(curvature > 0.0 && curvature.is_finite()) {
                 break;
             }
             let step = weighted / curvature;
@@ -367,86 +324,46 @@ impl Laplacian {
 /// The number of times that a point is covered is the sum of how often the loops wind around it. If no two segments cross, each loop winds
 /// once: around the patch if it is the outer one, the other way if it is that of a hole. A hole may have closed to a slit.
 pub(super) fn is_simple(border: &[[u32; 2]], map: &[DVec2]) -> bool {
-    let areas = loop_areas(border, map);
+    // The area inside each loop, negative if it runs clockwise.
+    let area = |edges: &[[u32; 2]]| -> f64 {
+        let ends = |edge: &[u32; 2]| edge.map(|v| map[v as usize] - map[edges[0][0] as usize]);
+        edges.iter().map(ends).map(|[from, to]| 0.5 * from.perp_dot(to)).sum()
+    };
+    let areas: Vec<f64> = loops(border).map(area).collect();
     let outer = areas.iter().copied().fold(0.0, f64::max);
     areas.iter().filter(|area| **area > SLIT * outer).count() == 1 && !crosses(border, map)
-}
-
-/// The area inside each loop, negative if it runs clockwise.
-fn loop_areas(border: &[[u32; 2]], map: &[DVec2]) -> Vec<f64> {
-    let mut areas: Vec<f64> = Vec::new();
-    let mut first = None;
-    for [a, b] in border {
-        let start = *first.get_or_insert_with(|| {
-            areas.push(0.0);
-            *a
-        });
-        let [from, to] = [a, b].map(|v| map[*v as usize] - map[start as usize]);
-        if let Some(area) = areas.last_mut() {
-            *area += 0.5 * from.perp_dot(to);
-        }
-        if *b == start {
-            first = None;
-        }
-    }
-    areas
 }
 
 /// Whether any two segments cross.
 fn crosses(border: &[[u32; 2]], map: &[DVec2]) -> bool {
     let ends = |[a, b]: [u32; 2]| [map[a as usize], map[b as usize]];
-    let grid = Grid::over(border.iter().map(|segment| ends(*segment)));
-    let width_of = |i: u32| {
-        let [a, b] = ends(border[i as usize]);
-        (a.x.min(b.x), a.x.max(b.x))
-    };
+    // Square cells over the box around all segments, about as wide as these are long.
+    let points = || border.iter().flat_map(|segment| ends(*segment));
+    let low = points().fold(DVec2::INFINITY, DVec2::min);
+    let side = (points().fold(DVec2::NEG_INFINITY, DVec2::max) - low).max_element();
+    let length: f64 = border.iter().map(|segment| ends(*segment)).map(|[a, b]| a.distance(b)).sum();
+    let cell = (length / border.len().max(1) as f64).max(side / MOST_CELLS).max(f64::MIN_POSITIVE);
+    let columns = (side / cell) as i32 + 1;
+    let cell_at = |p: DVec2| ((p - low) / cell).as_ivec2();
     // Cell, left end and segment, so that those of a cell lie together and from left to right.
     let mut entries: Vec<(u32, f64, u32)> = Vec::with_capacity(4 * border.len());
-    for i in 0..border.len() as u32 {
-        entries.extend(grid.cells(ends(border[i as usize])).map(|cell| (cell, width_of(i).0, i)));
+    for (i, segment) in (0..).zip(border) {
+        let [a, b] = ends(*segment);
+        let (first, last) = (cell_at(a.min(b)), cell_at(a.max(b)));
+        let cells = (first.y..=last.y).flat_map(|y| (first.x..=last.x).map(move |x| y * columns + x));
+        entries.extend(cells.map(|cell| (cell as u32, a.x.min(b.x), i)));
     }
     entries.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
     entries.chunk_by(|a, b| a.0 == b.0).any(|cell| {
         cell.iter().enumerate().any(|(k, (_, _, i))| {
-            let right = width_of(*i).1;
-            cell[k + 1..].iter().take_while(|(_, left, _)| *left <= right).any(|(_, _, j)| {
-                let (one, two) = (border[*i as usize], border[*j as usize]);
-                !one.iter().any(|v| two.contains(v)) && cross(ends(one), ends(two))
+            let one = border[*i as usize];
+            let [a, b] = ends(one);
+            cell[k + 1..].iter().take_while(|(_, left, _)| *left <= a.x.max(b.x)).any(|(_, _, j)| {
+                let two = border[*j as usize];
+                !one.iter().any(|v| two.contains(v)) && cross([a, b], ends(two))
             })
         })
     })
-}
-
-/// Square cells over a box.
-struct Grid {
-    low: DVec2,
-    cell: f64,
-    columns: i32,
-}
-
-impl Grid {
-    /// Cells about as wide as the segments are long.
-    fn over(segments: impl Iterator<Item = [DVec2; 2]>) -> Self {
-        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-        let (mut length, mut count) = (0.0, 0);
-        for [a, b] in segments {
-            low = low.min(a).min(b);
-            high = high.max(a).max(b);
-            length += a.distance(b);
-            count += 1;
-        }
-        let side = (high - low).max_element();
-        let cell = (length / f64::from(count.max(1))).max(side / MOST_CELLS).max(f64::MIN_POSITIVE);
-        Self { low, cell, columns: (side / cell) as i32 + 1 }
-    }
-
-    /// The cells of a segment's box.
-    fn cells(&self, [a, b]: [DVec2; 2]) -> impl Iterator<Item = u32> {
-        let cell = |p: DVec2| -> IVec2 { ((p - self.low) / self.cell).as_ivec2() };
-        let (low, high) = (cell(a.min(b)), cell(a.max(b)));
-        let columns = self.columns;
-        (low.y..=high.y).flat_map(move |y| (low.x..=high.x).map(move |x| (y * columns + x) as u32))
-    }
 }
 
 /// Whether two segments cross inside both.

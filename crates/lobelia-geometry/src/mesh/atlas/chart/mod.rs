@@ -6,9 +6,8 @@
 mod flatten;
 mod segment;
 
-use crate::error::Result;
-use crate::error::stop::check_interrupted;
 use crate::mesh::triangles::{DisjointSets, Mesh, sorted_sides};
+use crate::{Result, error::stop::check_interrupted};
 use flatten::{Tolerance, flatten};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -62,39 +61,27 @@ pub fn charts(mesh: &Mesh) -> Result<Vec<Chart>> {
     let topology = Topology::new(mesh);
     let tree = RegionTree::new(&topology);
     let mut found = Vec::new();
-    let mut open = tree.roots.clone();
-    for level in 0.. {
-        if open.is_empty() {
-            break;
-        }
-        let try_whole = |node: &u32| level < LEVELS.0 || tree.counts[*node as usize] <= LEVELS.1;
-        let flat = |node: &u32| {
-            try_whole(node).then(|| chart_of(&topology, tree.triangles(*node), &USUAL)).flatten()
+    let (mut open, mut level) = (tree.roots.clone(), 0);
+    while !open.is_empty() {
+        let flat = |node: &u32| -> Result<Option<Chart>> {
+            check_interrupted()?;
+            let try_whole = level < LEVELS.0 || tree.counts[*node as usize] <= LEVELS.1;
+            Ok(try_whole.then(|| chart_of(&topology, tree.triangles(*node), &USUAL)).flatten())
         };
-        let tried: Vec<(u32, Option<Chart>)> = open
-            .par_iter()
-            .map(|node| check_interrupted().map(|()| (*node, flat(node))))
-            .collect::<Result<_>>()?;
-        open.clear();
-        for (node, chart) in tried {
+        let tried: Vec<Option<Chart>> = open.par_iter().map(flat).collect::<Result<_>>()?;
+        level += 1;
+        for (node, chart) in std::mem::take(&mut open).into_iter().zip(tried) {
             match (chart, tree.nodes[node as usize]) {
                 (Some(chart), _) => found.push(chart),
                 (None, RegionNode::Pair(a, b)) => open.extend([a, b]),
-                (None, RegionNode::Triangle(face)) => found.push(single(&topology, face)),
+                (None, RegionNode::Triangle(face)) => {
+                    let places = PlanarTriangle::new(topology.corners(face)).corners().to_vec();
+                    found.push(Chart { faces: vec![face], triangles: vec![[0, 1, 2]], places });
+                }
             }
         }
     }
     join_small(&topology, found)
-}
-
-/// The chart of one triangle.
-fn single(topology: &Topology, face: u32) -> Chart {
-    let shape = PlanarTriangle::new(topology.corners(face));
-    Chart {
-        faces: vec![face],
-        triangles: vec![[0, 1, 2]],
-        places: vec![DVec2::ZERO, DVec2::new(shape.base, 0.0), shape.tip],
-    }
 }
 
 /// Triangles of the surface as a chart, if they lie flat.
@@ -183,7 +170,23 @@ impl Topology {
             if mesh.is_degenerate(t) { DVec3::ZERO } else { 0.5 * (b - a).cross(c - a) }
         };
         let area_vectors: Vec<DVec3> = (0..triangles.len()).map(area_vector).collect();
-        let neighbors = across_edges(&triangles, &area_vectors);
+        let mut neighbors = vec![[NONE; 3]; triangles.len()];
+        for same in sorted_sides(&triangles).chunk_by(|a, b| a.ends == b.ends) {
+            let mut there = same.iter().filter(|side| area_vectors[side.triangle as usize] != DVec3::ZERO);
+            let (Some(a), Some(b), None) = (there.next(), there.next(), there.next()) else { continue };
+            // The number of the edge in each triangle: one runs along it, the other against it.
+            let [from, to] = a.ends;
+            let edge = |triangle: u32, start: u32, end: u32| {
+                let corners = triangles[triangle as usize];
+                (0..3).find(|&k| corners[k] == start && corners[(k + 1) % 3] == end)
+            };
+            for (a, b) in [(a.triangle, b.triangle), (b.triangle, a.triangle)] {
+                if let (Some(k), Some(l)) = (edge(a, from, to), edge(b, to, from)) {
+                    neighbors[a as usize][k] = b;
+                    neighbors[b as usize][l] = a;
+                }
+            }
+        }
         Self { points, triangles, neighbors, area_vectors }
     }
 
@@ -204,28 +207,6 @@ impl Topology {
     }
 }
 
-/// The triangle across each edge of those with area.
-fn across_edges(triangles: &[[u32; 3]], area_vectors: &[DVec3]) -> Vec<[u32; 3]> {
-    let mut found = vec![[NONE; 3]; triangles.len()];
-    for same in sorted_sides(triangles).chunk_by(|a, b| a.ends == b.ends) {
-        let mut there = same.iter().filter(|side| area_vectors[side.triangle as usize] != DVec3::ZERO);
-        let (Some(a), Some(b), None) = (there.next(), there.next(), there.next()) else { continue };
-        // The number of the edge in each triangle: one runs along it, the other against it.
-        let [from, to] = a.ends;
-        let edge = |triangle: u32, start: u32, end: u32| {
-            let corners = triangles[triangle as usize];
-            (0..3).find(|&k| corners[k] == start && corners[(k + 1) % 3] == end)
-        };
-        for (a, b) in [(a.triangle, b.triangle), (b.triangle, a.triangle)] {
-            if let (Some(k), Some(l)) = (edge(a, from, to), edge(b, to, from)) {
-                found[a as usize][k] = b;
-                found[b as usize][l] = a;
-            }
-        }
-    }
-    found
-}
-
 /// Triangles of a surface with vertices of their own: two corners are one vertex only if a fan of the patch's triangles joins them.
 #[derive(Debug)]
 struct Patch {
@@ -233,18 +214,16 @@ struct Patch {
     faces: Vec<u32>,
     /// Three vertices of the patch for each.
     triangles: Vec<[u32; 3]>,
+    /// The shape of each.
+    shapes: Vec<PlanarTriangle>,
     /// World position of each vertex.
     points: Vec<DVec3>,
-    /// The patch's border: half edges as pairs of vertices, in closed loops one after another, and where each loop begins.
+    /// The patch's border: half edges as pairs of vertices, in closed loops one after another ([`loops`]).
     border: Vec<[u32; 2]>,
-    /// Number of closed loops of the border.
-    loops: usize,
     /// Sum of the area vectors, squared world units.
     area_vector: DVec3,
     /// Area, squared world units.
     area: f64,
-    /// Number of edges.
-    edges: usize,
 }
 
 impl Patch {
@@ -254,8 +233,7 @@ impl Patch {
             let neighbor = topology.neighbors[faces[i] as usize][k];
             if neighbor == NONE { None } else { faces.binary_search(&neighbor).ok() }
         };
-        let inner: Vec<[Option<usize>; 3]> =
-            (0..faces.len()).map(|i| [0, 1, 2].map(|k| across(i, k))).collect();
+        let inner: Vec<_> = (0..faces.len()).map(|i| [0, 1, 2].map(|k| across(i, k))).collect();
         let roots = joined_corners(topology, &faces, &inner);
         let mut vertex_of = vec![NONE; roots.len()];
         let (mut points, mut triangles) = (Vec::new(), Vec::with_capacity(faces.len()));
@@ -270,24 +248,18 @@ impl Patch {
                 *vertex
             }));
         }
-        let (border, loops) = border(&triangles, &inner, points.len());
-        let edges = (3 * faces.len() + border.len()) / 2;
         let vectors = || faces.iter().map(|&t| topology.area_vectors[t as usize]);
-        Self {
-            area_vector: vectors().sum(),
-            area: vectors().map(|v| v.length()).sum(),
-            faces,
-            triangles,
-            points,
-            border,
-            loops,
-            edges,
-        }
+        let (area_vector, area) = (vectors().sum(), vectors().map(|v| v.length()).sum());
+        let shapes = faces.iter().map(|&face| PlanarTriangle::new(topology.corners(face))).collect();
+        let border = border(&triangles, &inner, points.len());
+        Self { faces, triangles, shapes, points, border, area_vector, area }
     }
 
     /// Whether the patch can lie in a plane: connected, it has a border and no handles (Euler's formula).
     fn is_planar(&self) -> bool {
-        self.loops > 0 && self.points.len() + self.triangles.len() + self.loops == self.edges + 2
+        let edges = (3 * self.triangles.len() + self.border.len()) / 2;
+        let loops = loops(&self.border).count();
+        loops > 0 && self.points.len() + self.triangles.len() + loops == edges + 2
     }
 }
 
@@ -308,8 +280,8 @@ fn joined_corners(topology: &Topology, faces: &[u32], inner: &[[Option<usize>; 3
     (0..3 * faces.len() as u32).map(|corner| corners.root(corner)).collect()
 }
 
-/// The half edges without an inner neighbor, loop by loop, and the number of loops.
-fn border(triangles: &[[u32; 3]], inner: &[[Option<usize>; 3]], vertices: usize) -> (Vec<[u32; 2]>, usize) {
+/// The half edges without an inner neighbor, loop by loop.
+fn border(triangles: &[[u32; 3]], inner: &[[Option<usize>; 3]], vertices: usize) -> Vec<[u32; 2]> {
     // A vertex is one fan, so that at most one half edge of the border leaves it.
     let mut next = vec![NONE; vertices];
     for (triangle, others) in triangles.iter().zip(inner) {
@@ -319,17 +291,21 @@ fn border(triangles: &[[u32; 3]], inner: &[[Option<usize>; 3]], vertices: usize)
             }
         }
     }
-    let (mut border, mut loops) = (Vec::new(), 0);
+    let mut border = Vec::new();
     for first in 0..vertices {
         let mut at = first;
-        loops += usize::from(next[first] != NONE);
         while next[at] != NONE {
             let to = std::mem::replace(&mut next[at], NONE);
             border.push([at as u32, to]);
             at = to as usize;
         }
     }
-    (border, loops)
+    border
+}
+
+/// The loops of a border.
+fn loops(border: &[[u32; 2]]) -> impl Iterator<Item = &[[u32; 2]]> {
+    border.chunk_by(|before, next| before[1] == next[0])
 }
 
 /// A triangle as it lies in its own plane: its first corner at the origin, the second on the x axis.
@@ -352,6 +328,11 @@ impl PlanarTriangle {
         let x = (c - a).dot(along);
         let y = ((c - a) - along * x).length();
         Self { base, tip: DVec2::new(x, y), area: 0.5 * base * y }
+    }
+
+    /// Its corners in its plane.
+    fn corners(&self) -> [DVec2; 3] {
+        [DVec2::ZERO, DVec2::new(self.base, 0.0), self.tip]
     }
 
     /// Derivatives of a map from the triangle's plane that takes its corners to `corners`: by x, and by y.

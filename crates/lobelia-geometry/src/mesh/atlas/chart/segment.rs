@@ -9,7 +9,6 @@ use super::{NONE, Topology};
 use glam::DVec3;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
-use std::hash::{BuildHasherDefault, Hasher};
 
 /// Largest error of a region per area: 0 is flat, 0.36 half a cylinder, 0.5 half a ball.
 const MAX_BEND: f64 = 0.42;
@@ -47,12 +46,7 @@ impl RegionTree {
     pub fn new(topology: &Topology) -> Self {
         let mut merging = Merging::new(topology);
         // A pair that was too bent may be flat enough when the flat one of the two has grown.
-        loop {
-            merging.queue_all();
-            if !merging.run() {
-                break;
-            }
-        }
+        while merging.round() {}
         let roots = (0..merging.node.len()).filter(|&r| merging.alive[r]).map(|r| merging.node[r]).collect();
         let mut counts: Vec<u32> = Vec::with_capacity(merging.nodes.len());
         for node in &merging.nodes {
@@ -89,32 +83,15 @@ struct Border {
     entry: u32,
 }
 
-/// One number for two regions, in either order.
-fn key(a: u32, b: u32) -> u64 {
-    u64::from(a.min(b)) << 32 | u64::from(a.max(b))
-}
+/// Two regions, the one of the lower number first.
+type RegionPair = (u32, u32);
 
-/// Multiplicative hashing of such a number (Knuth, The Art of Computer Programming 3, section 6.4).
-#[derive(Default)]
-struct PairHasher(u64);
-
-impl Hasher for PairHasher {
-    fn write(&mut self, bytes: &[u8]) {
-        bytes.iter().for_each(|byte| self.write_u64(self.0 ^ u64::from(*byte)));
-    }
-
-    fn write_u64(&mut self, number: u64) {
-        let product = u128::from(number) * 0x9e37_79b9_7f4a_7c15;
-        self.0 = (product >> 64) as u64 ^ product as u64;
-    }
-
-    fn finish(&self) -> u64 {
-        self.0
-    }
+fn pair(a: u32, b: u32) -> RegionPair {
+    (a.min(b), a.max(b))
 }
 
 /// A pair of regions that may merge: cost ([`order_of`]), number of the entry, so that of equal costs the oldest comes first, and pair.
-type Candidate = Reverse<(i64, u32, (u32, u32))>;
+type Candidate = Reverse<(i64, u32, RegionPair)>;
 
 /// A number that is ordered as the cost is, by its bits (see [`f64::total_cmp`]).
 fn order_of(cost: f64) -> i64 {
@@ -134,8 +111,7 @@ struct Merging {
     perimeter: Vec<f64>,
     /// Regions that share a border, and some that are no more.
     neighbors: Vec<Vec<u32>>,
-    /// By the two regions ([`key`]).
-    borders: HashMap<u64, Border, BuildHasherDefault<PairHasher>>,
+    borders: HashMap<RegionPair, Border>,
     queue: BinaryHeap<Candidate>,
     next_entry: u32,
 }
@@ -146,44 +122,35 @@ impl Merging {
         let area: Vec<f64> = topology.area_vectors.iter().map(|v| v.length()).collect();
         let perimeter = (0..count as u32).map(|t| (0..3).map(|k| topology.edge_length(t, k)).sum()).collect();
         let normals = smoothed_normals(topology, &area);
-        let alive: Vec<bool> = (0..count as u32).map(|t| topology.has_area(t)).collect();
-        let mut merging = Self {
-            nodes: (0..count as u32).map(RegionNode::Triangle).collect(),
-            node: (0..count as u32).collect(),
-            alive,
-            normal: normals.iter().zip(&area).map(|(n, a)| *n * *a).collect(),
-            area,
-            perimeter,
-            neighbors: vec![Vec::new(); count],
-            borders: HashMap::with_capacity_and_hasher(2 * count, BuildHasherDefault::default()),
-            queue: BinaryHeap::new(),
-            next_entry: 0,
-        };
+        let node: Vec<u32> = (0..count as u32).collect();
+        let nodes = node.iter().copied().map(RegionNode::Triangle).collect();
+        let alive = node.iter().map(|t| topology.has_area(*t)).collect();
+        let normal = normals.iter().zip(&area).map(|(n, a)| *n * *a).collect();
+        let (neighbors, borders) = (vec![Vec::new(); count], HashMap::with_capacity(2 * count));
+        let (queue, next_entry) = (BinaryHeap::new(), 0);
+        let mut merging =
+            Self { nodes, node, alive, area, normal, perimeter, neighbors, borders, queue, next_entry };
         for t in 0..count as u32 {
             for (k, &other) in topology.neighbors[t as usize].iter().enumerate() {
-                if other != NONE && t < other {
-                    merging.add_edge(topology, t, other, k);
+                if other == NONE || t >= other {
+                    continue;
+                }
+                let length = topology.edge_length(t, k);
+                let border = merging.borders.entry((t, other)).or_default();
+                border.length += length;
+                border.crease += length * crease(topology, t, other);
+                for (a, b) in [(t, other), (other, t)] {
+                    if !merging.neighbors[a as usize].contains(&b) {
+                        merging.neighbors[a as usize].push(b);
+                    }
                 }
             }
         }
         merging
     }
 
-    /// Adds edge k of triangle `t` to what `t` and `other` share.
-    fn add_edge(&mut self, topology: &Topology, t: u32, other: u32, k: usize) {
-        let length = topology.edge_length(t, k);
-        let border = self.borders.entry(key(t, other)).or_default();
-        border.length += length;
-        border.crease += length * crease(topology, t, other);
-        for (a, b) in [(t, other), (other, t)] {
-            if !self.neighbors[a as usize].contains(&b) {
-                self.neighbors[a as usize].push(b);
-            }
-        }
-    }
-
     /// Cost of merging two regions that share `border`; `None` if the result is too bent.
-    fn cost(&self, (a, b): (u32, u32), border: &Border) -> Option<f64> {
+    fn cost(&self, (a, b): RegionPair, border: &Border) -> Option<f64> {
         let (a, b) = (a as usize, b as usize);
         let area = self.area[a] + self.area[b];
         let length = (self.normal[a] + self.normal[b]).length();
@@ -198,10 +165,10 @@ impl Merging {
     }
 
     /// Puts a pair into the queue, if it may merge.
-    fn queue(&mut self, pair: (u32, u32)) {
+    fn queue(&mut self, pair: RegionPair) {
         self.next_entry += 1;
         let id = self.next_entry;
-        let Some(border) = self.borders.get_mut(&key(pair.0, pair.1)) else { return };
+        let Some(border) = self.borders.get_mut(&pair) else { return };
         border.entry = id;
         let border = *border;
         if let Some(cost) = self.cost(pair, &border) {
@@ -209,8 +176,8 @@ impl Merging {
         }
     }
 
-    /// Puts all pairs into the queue.
-    fn queue_all(&mut self) {
+    /// Puts all pairs into the queue, and merges until it is empty; whether anything was merged.
+    fn round(&mut self) -> bool {
         for a in 0..self.alive.len() {
             for i in 0..self.neighbors[a].len() {
                 let b = self.neighbors[a][i];
@@ -219,17 +186,10 @@ impl Merging {
                 }
             }
         }
-    }
-
-    /// Merges until the queue is empty; whether anything was merged.
-    fn run(&mut self) -> bool {
         let mut any = false;
         while let Some(Reverse((cost, id, pair))) = self.queue.pop() {
-            let Some(border) =
-                self.borders.get(&key(pair.0, pair.1)).filter(|border| border.entry == id).copied()
-            else {
-                continue;
-            };
+            let border = self.borders.get(&pair).copied().filter(|border| border.entry == id);
+            let Some(border) = border else { continue };
             // Both may have grown since the entry was made: costs are looked at again only here.
             match self.cost(pair, &border) {
                 Some(now) if order_of(now) > cost => self.queue(pair),
@@ -243,7 +203,7 @@ impl Merging {
         any
     }
 
-    fn merge(&mut self, (a, b): (u32, u32), border: &Border) {
+    fn merge(&mut self, (a, b): RegionPair, border: &Border) {
         // The one with fewer neighbors goes into the other.
         let small_first = self.neighbors[a as usize].len() < self.neighbors[b as usize].len();
         let (kept, gone) = if small_first { (b as usize, a as usize) } else { (a as usize, b as usize) };
@@ -254,27 +214,23 @@ impl Merging {
         let normal = self.normal[gone];
         self.normal[kept] += normal;
         self.perimeter[kept] += self.perimeter[gone] - 2.0 * border.length;
-        self.borders.remove(&key(a, b));
+        self.borders.remove(&(a, b));
         for other in std::mem::take(&mut self.neighbors[gone]) {
-            if self.alive[other as usize] && other as usize != kept {
-                self.hand_over(gone as u32, kept as u32, other);
+            if !self.alive[other as usize] || other as usize == kept {
+                continue;
             }
+            let Some(border) = self.borders.remove(&pair(gone as u32, other)) else { continue };
+            let pair = pair(kept as u32, other);
+            if let Some(shared) = self.borders.get_mut(&pair) {
+                shared.length += border.length;
+                shared.crease += border.crease;
+            } else {
+                self.borders.insert(pair, border);
+                self.neighbors[kept].push(other);
+                self.neighbors[other as usize].push(kept as u32);
+            }
+            self.queue(pair);
         }
-    }
-
-    /// Moves the border of `gone` with `other` to `kept`.
-    fn hand_over(&mut self, gone: u32, kept: u32, other: u32) {
-        let Some(border) = self.borders.remove(&key(gone, other)) else { return };
-        let pair = (kept.min(other), kept.max(other));
-        if let Some(shared) = self.borders.get_mut(&key(pair.0, pair.1)) {
-            shared.length += border.length;
-            shared.crease += border.crease;
-        } else {
-            self.borders.insert(key(kept, other), border);
-            self.neighbors[kept as usize].push(other);
-            self.neighbors[other as usize].push(kept);
-        }
-        self.queue(pair);
     }
 }
 

@@ -8,7 +8,7 @@ mod page;
 
 use super::chart::Chart;
 use glam::{DVec2, UVec2, Vec2Swizzles};
-use page::{CellMask, Page, Scratch};
+use page::{CellMask, Page};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -46,7 +46,7 @@ pub(crate) fn pack(charts: &mut [Chart], size: u32) -> bool {
     let Some((scale, placed)) = packing.largest() else { return false };
     let cell = f64::from(packing.cell);
     for (i, chart) in charts.iter_mut().enumerate() {
-        let Placed { at, turn } = placed[i];
+        let (at, turn) = placed[i];
         let moved = |p: DVec2| turned(p * scale, corners[i] * scale, turn) + at.as_dvec2() * cell;
         chart.places.iter_mut().for_each(|p| *p = moved(*p));
     }
@@ -64,11 +64,7 @@ fn turned(point: DVec2, corner: DVec2, quarters: usize) -> DVec2 {
 }
 
 /// Where a chart is: its first cell, and its quarter turns.
-#[derive(Clone, Copy, Debug)]
-struct Placed {
-    at: UVec2,
-    turn: usize,
-}
+type Placed = (UVec2, usize);
 
 /// Charts to pack.
 struct Packing<'a> {
@@ -93,9 +89,9 @@ impl<'a> Packing<'a> {
             let by_chance = SHUFFLE * chance(number, i as u64) * number.min(1) as f64;
             self.corners[i].element_sum() * (1.0 + by_chance)
         };
-        let mut order: Vec<(f64, usize)> = (0..self.charts.len()).map(|i| (size(i), i)).collect();
-        order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        order.into_iter().map(|(_, i)| i).collect()
+        let mut order: Vec<usize> = (0..self.charts.len()).collect();
+        order.sort_by(|a, b| size(*b).total_cmp(&size(*a)));
+        order
     }
 
     /// The largest scale that is found, in texels per world unit, and where the charts are then.
@@ -170,9 +166,9 @@ impl<'a> Packing<'a> {
             return None;
         }
         let mut page = Page::new(self.side, MARGIN.div_ceil(self.cell));
-        let mut placed = vec![Placed { at: UVec2::ZERO, turn: 0 }; self.charts.len()];
+        let mut placed = vec![(UVec2::ZERO, 0); self.charts.len()];
         let mut begin: HashMap<UVec2, u32> = HashMap::new();
-        let mut scratch = Scratch::default();
+        let mut scratch = Default::default();
         for &i in order {
             // That turn whose middle is lowest.
             let mut best: Option<(u32, Placed)> = None;
@@ -182,14 +178,14 @@ impl<'a> Packing<'a> {
                 let end =
                     best.map_or(self.side, |(middle, _)| middle.saturating_sub(mask.size.y).div_ceil(2));
                 let Some(at) = page.find(mask, first..end, &mut scratch) else { continue };
-                best = Some((2 * at.y + mask.size.y, Placed { at, turn }));
+                best = Some((2 * at.y + mask.size.y, (at, turn)));
                 if small {
                     begin.insert(mask.size, at.y);
                 }
             }
-            let (_, here) = best?;
-            page.take(&masks[i][here.turn], here.at, gutter);
-            placed[i] = here;
+            let (_, (at, turn)) = best?;
+            page.take(&masks[i][turn], at, gutter);
+            placed[i] = (at, turn);
         }
         Some(placed)
     }

@@ -9,11 +9,8 @@ use std::ops::Range;
 /// Some cells of a row, from the first to the last.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellRun {
-    /// Row.
     pub y: u32,
-    /// First column.
     pub from: u32,
-    /// Last column.
     pub to: u32,
 }
 
@@ -35,11 +32,8 @@ impl CellMask {
         for triangle in triangles {
             for run in rows(triangle) {
                 let y = run.y.min(size.y - 1) as usize;
-                set(
-                    &mut bits[y * stride..(y + 1) * stride],
-                    run.from.min(size.x - 1),
-                    run.to.min(size.x - 1),
-                );
+                let [from, to] = [run.from, run.to].map(|x| x.min(size.x - 1));
+                set(&mut bits[y * stride..(y + 1) * stride], from, to);
             }
         }
         let rows = bits.chunks_exact(stride).enumerate();
@@ -122,12 +116,8 @@ impl Page {
     /// A page of `side`² cells, of which the `margin` outermost on each side are taken.
     pub fn new(side: u32, margin: u32) -> Self {
         let stride = (side as usize).div_ceil(64);
-        let mut page = Self {
-            side,
-            stride,
-            taken: vec![0; stride * side as usize],
-            longest_free: vec![side; side as usize],
-        };
+        let (taken, longest_free) = (vec![0; stride * side as usize], vec![side; side as usize]);
+        let mut page = Self { side, stride, taken, longest_free };
         let beyond = stride as u32 * 64;
         for y in 0..side {
             let inner = y >= margin && y + margin < side && 2 * margin < side;
@@ -150,30 +140,16 @@ impl Page {
 
     /// Finds the longest free run of a row again.
     fn measure(&mut self, y: u32) {
-        let (mut longest, mut length) = (0, 0);
-        for &bits in self.row(y) {
-            if bits == 0 {
-                length += 64;
-            } else {
-                let mut at = 0;
-                while at < 64 {
-                    let free = (bits >> at).trailing_zeros().min(64 - at);
-                    length += free;
-                    at += free;
-                    longest = longest.max(length);
-                    if at < 64 {
-                        length = 0;
-                        at += (!(bits >> at)).trailing_zeros();
-                    }
-                }
-            }
-            longest = longest.max(length);
+        let (mut longest, mut begin) = (0, 0);
+        for run in runs(y, self.row(y)) {
+            longest = longest.max(run.from - begin);
+            begin = run.to + 1;
         }
-        self.longest_free[y as usize] = longest;
+        self.longest_free[y as usize] = longest.max(64 * self.stride as u32 - begin);
     }
 
-    /// The lowest of `rows` where the mask touches no taken cell, and the first column there.
-    pub fn find(&self, mask: &CellMask, rows: Range<u32>, scratch: &mut Scratch) -> Option<UVec2> {
+    /// The lowest of `rows` where the mask touches no taken cell, and the first column there. `scratch` keeps the room of two rows of bits.
+    pub fn find(&self, mask: &CellMask, rows: Range<u32>, scratch: &mut [Vec<u64>; 2]) -> Option<UVec2> {
         let end = rows.end.min((self.side + 1).checked_sub(mask.size.y)?);
         if mask.size.x > self.side {
             return None;
@@ -182,12 +158,11 @@ impl Page {
     }
 
     /// The first column where the mask fits in row `y`.
-    fn column(&self, mask: &CellMask, y: u32, scratch: &mut Scratch) -> Option<u32> {
+    fn column(&self, mask: &CellMask, y: u32, [blocked, spread]: &mut [Vec<u64>; 2]) -> Option<u32> {
         let room = |run: &CellRun| run.to - run.from < self.longest_free[(y + run.y) as usize];
         if !mask.runs.iter().all(room) {
             return None;
         }
-        let Scratch { blocked, spread } = scratch;
         blocked.clear();
         blocked.resize(self.stride, 0);
         if self.side - mask.size.x + 1 < self.stride as u32 * 64 {
@@ -227,13 +202,6 @@ impl Page {
         let rows = at.y.saturating_sub(gutter)..=(at.y + mask.size.y - 1 + gutter).min(self.side - 1);
         rows.for_each(|y| self.measure(y));
     }
-}
-
-/// Rows of bits for [`Page::find`].
-#[derive(Debug, Default)]
-pub struct Scratch {
-    blocked: Vec<u64>,
-    spread: Vec<u64>,
 }
 
 /// The word of `row` that begins at bit `64 word + by`.

@@ -1,8 +1,7 @@
 use super::page::CellRun;
 use super::*;
-use crate::mesh::atlas::chart::charts;
 use crate::mesh::tests::{ball, plate, scattered, torus};
-use crate::mesh::triangles::Mesh;
+use crate::{mesh::atlas::chart::charts, mesh::triangles::Mesh};
 
 /// Where triangle corners lie in the texture, in texels, with the chart's number.
 fn corners(charts: &[Chart]) -> impl Iterator<Item = (usize, [DVec2; 3])> {
@@ -21,11 +20,8 @@ fn good_fill(mesh: &Mesh, size: u32) -> f64 {
     // The texels that each chart touches, by their squares.
     let mut owner = vec![usize::MAX; (size * size) as usize];
     for (chart, triangle) in corners(&all) {
-        assert!(
-            triangle
-                .iter()
-                .all(|p| p.min_element() >= f64::from(MARGIN) && p.max_element() <= f64::from(size - MARGIN))
-        );
+        let inner = f64::from(MARGIN)..=f64::from(size - MARGIN);
+        assert!(triangle.iter().all(|p| inner.contains(&p.x) && inner.contains(&p.y)));
         let steps = 2 + (triangle[0].distance(triangle[1]) + triangle[0].distance(triangle[2])) as u32 * 2;
         for (a, b) in (0..=steps).flat_map(|a| (0..=steps - a).map(move |b| (a, b))) {
             // Just inside, since borders of texels are nobody's.
@@ -42,10 +38,8 @@ fn good_fill(mesh: &Mesh, size: u32) -> f64 {
         for (dx, dy) in (0..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy))) {
             let inside = (0..size as i32).contains(&(x + dx)) && y + dy < size as i32;
             let other = if inside { owner[((y + dy) * size as i32 + x + dx) as usize] } else { own };
-            assert!(
-                own == usize::MAX || other == usize::MAX || own == other,
-                "charts {own}, {other} at {x} {y}"
-            );
+            let apart = own == usize::MAX || other == usize::MAX || own == other;
+            assert!(apart, "charts {own}, {other} at {x} {y}");
         }
     }
     all.iter().map(Chart::area).sum::<f64>() / f64::from(size).powi(2)
@@ -112,11 +106,9 @@ fn masks_hold_all_that_a_triangle_touches() {
 
 /// The first place by looking at every cell.
 fn plain_find(taken: &[bool], side: u32, mask: &CellMask) -> Option<UVec2> {
-    let free = |at: UVec2| {
-        mask.runs
-            .iter()
-            .all(|run| (run.from..=run.to).all(|x| !taken[((at.y + run.y) * side + at.x + x) as usize]))
-    };
+    let is_taken = |x: u32, y: u32| taken[(y * side + x) as usize];
+    let fits = |at: UVec2, run: &CellRun| (run.from..=run.to).all(|x| !is_taken(at.x + x, at.y + run.y));
+    let free = |at: UVec2| mask.runs.iter().all(|run| fits(at, run));
     let end = |length: u32| (side + 1).saturating_sub(length);
     let mut places = (0..end(mask.size.y)).flat_map(|y| (0..end(mask.size.x)).map(move |x| UVec2::new(x, y)));
     places.find(|at| free(*at))
@@ -128,7 +120,7 @@ fn the_lowest_place_is_found() {
     let mut page = Page::new(side, margin);
     let outer = |c: u32| c < margin || c >= side - margin;
     let mut taken: Vec<bool> = (0..side * side).map(|i| outer(i % side) || outer(i / side)).collect();
-    let mut scratch = Scratch::default();
+    let mut scratch = Default::default();
     for number in 0..60 {
         let random = |i: u64| (chance(number, i) + 1.0) / 2.0;
         let far = DVec2::new(random(0) * 69.0, random(1) * 30.0);
@@ -149,8 +141,6 @@ fn the_lowest_place_is_found() {
     }
     let wide = CellMask { size: UVec2::new(151, 1), runs: vec![CellRun { y: 0, from: 0, to: 150 }] };
     assert_eq!(page.find(&wide, 0..side, &mut scratch), None);
-    assert_eq!(
-        Page::new(4, 2).find(&CellMask::new([[DVec2::ZERO; 3]].into_iter(), DVec2::ZERO), 0..4, &mut scratch),
-        None
-    );
+    let point = CellMask::new([[DVec2::ZERO; 3]].into_iter(), DVec2::ZERO);
+    assert_eq!(Page::new(4, 2).find(&point, 0..4, &mut scratch), None);
 }
