@@ -7,7 +7,7 @@ use image::{DynamicImage, GrayImage, codecs::jpeg::JpegEncoder};
 use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::file::{read_bytes, write_bytes};
 use lobelia_io::codec::image::{decode, image_header};
-use lobelia_io::dataset::colmap::largest_model;
+use lobelia_io::dataset::colmap::{LargestModel, largest_model};
 use lobelia_io::{codec::nearby::missing_file_help, codec::png_file::write_gray8};
 use std::{collections::BTreeSet, ffi::OsStr, ffi::OsString, fs, path::Path};
 
@@ -104,7 +104,7 @@ impl Reconstruction<'_> {
             self.colmap(work, "matching", 100, &matching)
         })?;
         work.step("mapping", "", |work| self.map(work))?;
-        let (folder, names, note) =
+        let LargestModel { folder, names, note } =
             largest_model(&work.path("models"))?.ok_or_else(|| self.no_cameras("COLMAP made no model"))?;
         note.iter().for_each(|note| work.progress.note(note));
         if names.len() < FEWEST {

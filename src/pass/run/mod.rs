@@ -125,7 +125,7 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     let views = data.iter().flat_map(|data| &data.views);
     session.watched =
         watched.without(views.flat_map(|view| {
-            view.pictures().map(|picture| picture.path).chain([view.camera_file().to_owned()])
+            view.pictures().map(|picture| picture.path).chain([view.plan.camera_file.clone()])
         }));
     session.report = Reporter::new(options.live);
 

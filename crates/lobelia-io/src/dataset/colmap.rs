@@ -115,19 +115,28 @@ fn largest(models: &[PathBuf]) -> Result<(&Path, Vec<ModelImage>, Option<String>
     Ok((&models[chosen], read.swap_remove(chosen), (models.len() > 1).then_some(note)))
 }
 
-/// The largest of the models in the folders `0`, `1`, … of `folder`, if there is one: its folder, the names of its photographs, as paths below
-/// their folder, and a note about the others.
+/// The model with the most photographs of those in the folders `0`, `1`, … of a folder.
+pub struct LargestModel {
+    /// Of the model.
+    pub folder: PathBuf,
+    /// The names of its photographs, as paths below the folder of photographs.
+    pub names: BTreeSet<String>,
+    /// A note about the others.
+    pub note: Option<String>,
+}
+
+/// Reads the largest model in `folder`, if there is one.
 ///
 /// # Errors
 /// [`Error::Input`] if one cannot be read.
-pub fn largest_model(folder: &Path) -> Result<Option<(PathBuf, BTreeSet<String>, Option<String>)>> {
+pub fn largest_model(folder: &Path) -> Result<Option<LargestModel>> {
     let models = numbered_models(folder);
     if models.is_empty() {
         return Ok(None);
     }
     let (file, images, note) = largest(&models)?;
     let names = images.into_iter().map(|image| image.name).collect();
-    Ok(Some((file.parent().unwrap_or(folder).to_owned(), names, note)))
+    Ok(Some(LargestModel { folder: file.parent().unwrap_or(folder).to_owned(), names, note }))
 }
 
 /// Plans the views of a split, in the order of their names; without lists, all are of the training split.

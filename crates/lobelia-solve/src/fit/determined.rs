@@ -477,7 +477,7 @@ mod tests {
     fn words_leave_out_what_is_given() {
         assert_eq!(Determined::default().words(), None);
         let (color, brightness, lobes) = (Some(0.044), Some(0.51), Some(50.7));
-        let light = Determined { color, brightness, lobes, ..Determined::default() };
+        let light = Determined { brightness, color, lobes, ..Determined::default() };
         let words = "color of the light to 4 %, its brightness not at all, 51 lobes of it";
         assert_eq!(light.words().as_deref(), Some(words));
     }

@@ -65,7 +65,7 @@ impl TexelAtlas {
     /// Median distance in the world between covered texels that are neighbors in a row; zero if nothing is covered.
     pub fn texel_size(&self) -> f32 {
         let width = self.width as usize;
-        let is_pair = |t: &usize| t % width > 0 && self.covered[*t] && self.covered[t - 1];
+        let is_pair = |t: &usize| !t.is_multiple_of(width) && self.covered[*t] && self.covered[t - 1];
         let distance = |t: usize| self.position[t].distance(self.position[t - 1]);
         let mut distances: Vec<f32> = (1..self.covered.len()).filter(is_pair).map(distance).collect();
         median(&mut distances).unwrap_or(0.0)
