@@ -1,4 +1,5 @@
-//! A fit without a scene file and without files written: photographs are made in memory, then light and material are found.
+//! A fit without a scene file and without files written: photographs are made in memory, then light
+//! and material are found.
 //!
 //! `cargo run --release --example fit_in_code`
 
@@ -35,8 +36,9 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Photographs of the truth, which only they know: an object of two colors under two lights. They are taken with the closed form that
-/// the fit inverts; `swap_shading` shows how to take them with the path tracer.
+/// Photographs of the truth, which only they know: an object of two colors under two lights. They
+/// are taken with the closed form that the fit inverts; `swap_shading` shows how to take them with
+/// the path tracer.
 fn photographs_of(surface: &Arc<Surface>, gloss: SpecularLobe) -> Result<Vec<ViewRecord>> {
     let light = [
         LightLobe { axis: Vec3::Y, sharpness: 0.8, amplitude: Vec3::splat(0.5) },

@@ -1,4 +1,5 @@
-//! Draws the picture of `docs/src/conventions.md`: one light as a map of three programs, and a mirror ball under it.
+//! Draws the picture of `docs/src/conventions.md`: one light as a map of three programs, and a
+//! mirror ball under it.
 //!
 //! `cargo run --release --example map_conventions` writes `out/examples/map_conventions.png`.
 
@@ -41,7 +42,8 @@ fn map_picture(convention: MapConvention) -> RgbImage {
     let mut picture = draw(MAP, |x, y| map.radiance[(y * MAP.0 + x) as usize]);
     for (axis, label, _) in MARKS {
         let (u, v) = EnvironmentMap::uv(convention.turn().inverse() * axis);
-        // A pole is a whole row: the label stands in the middle. The left edge is the right edge too.
+        // A pole is a whole row: the label stands in the middle. The left edge is the right edge
+        // too.
         let u = if (0.02..0.98).contains(&v) { u } else { 0.5 };
         let half = text_width(label, 2.0) / 2;
         let left = ((u * MAP.0 as f32) as u32).saturating_sub(half).clamp(2, MAP.0 - 2 * half - 2);

@@ -1,5 +1,5 @@
-//! An edit of one's own: an ordinary bevy_ecs system in the slot of the shown material paints stripes by height. The recovered
-//! material stays as it is, so that there is nothing to undo.
+//! An edit of one's own: an ordinary bevy_ecs system in the slot of the shown material paints
+//! stripes by height. The recovered material stays as it is, so that there is nothing to undo.
 //!
 //! `cargo run --release --example own_edit_system` writes three pictures under `out/examples/`.
 
@@ -9,7 +9,8 @@ use lobelia::prelude::*;
 #[derive(Resource)]
 struct Places(Vec<Vec3>);
 
-/// The edit: what a texel shows, of what was recovered and where the texel lies. What it leaves alone is shown as it was recovered.
+/// The edit: what a texel shows, of what was recovered and where the texel lies. What it leaves
+/// alone is shown as it was recovered.
 fn paint_stripes(places: Res<Places>, composition: Composition) -> SystemResult {
     composition.compose(|material| {
         let texels = material.albedo.iter_mut().zip(&mut material.sheen).zip(&places.0);
@@ -38,7 +39,8 @@ fn main() -> Result<()> {
     pipeline.world.insert_resource(Places(places));
 
     picture(&mut pipeline, "own_edit_before")?;
-    // A picture is drawn tile by tile; the stripes are painted again only if what they are painted on has changed.
+    // A picture is drawn tile by tile; the stripes are painted again only if what they are painted
+    // on has changed.
     pipeline.swap(Phase::Frame, Slot::Material, paint_stripes.run_if(recovered_changed));
     picture(&mut pipeline, "own_edit_stripes")?;
     pipeline.swap(Phase::Frame, Slot::Material, show_recovered());

@@ -1,4 +1,5 @@
-//! Light both ways: SG lobes drawn as an environment map, the map fitted by lobes again, and how much was lost.
+//! Light both ways: SG lobes drawn as an environment map, the map fitted by lobes again, and how
+//! much was lost.
 //!
 //! `cargo run --release --example render_env_lobes` writes two pictures under `out/examples/`.
 

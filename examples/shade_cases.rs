@@ -1,12 +1,15 @@
-//! Shades a JSON list of single points under one spherical Gaussian each, to check a shading mode against known values.
+//! Shades a JSON list of single points under one spherical Gaussian each, to check a shading mode
+//! against known values.
 //!
 //! `cargo run --release --example shade_cases -- cases.json shaded.json --mode accurate`
 //!
-//! A case has `normal`, `view` (from the point to the viewer), `lobe_axis`, `lobe_sharpness`, `lobe_amplitude`, `roughness`, `specular`
-//! (specular albedo) and `albedo`; other fields are carried over. The output is the same list with the outgoing radiance added as
-//! `diffuse` and `specular`; the specular albedo moves to `specular_albedo`, which is also read in preference to `specular`.
-//! Modes: `published` (default), `accurate`, `accurate-high` (more quadrature nodes) and `path-traced`, which is the renderer itself, adds
-//! `diffuse_stderr` and `specular_stderr`, and takes `--samples N` paths (default 1024). Closed forms are computed in `f64`.
+//! A case has `normal`, `view` (from the point to the viewer), `lobe_axis`, `lobe_sharpness`,
+//! `lobe_amplitude`, `roughness`, `specular` (specular albedo) and `albedo`; other fields are
+//! carried over. The output is the same list with the outgoing radiance added as `diffuse` and
+//! `specular`; the specular albedo moves to `specular_albedo`, which is also read in preference to
+//! `specular`. Modes: `published` (default), `accurate`, `accurate-high` (more quadrature nodes)
+//! and `path-traced`, which is the renderer itself, adds `diffuse_stderr` and `specular_stderr`,
+//! and takes `--samples N` paths (default 1024). Closed forms are computed in `f64`.
 
 use lobelia::light::illuminate::LobeLight;
 use lobelia::material::SpecularBlend;

@@ -1,5 +1,6 @@
-//! Stanford-ORB's relighting benchmark: one capture of an object is fitted, then relit by the measured light of each test picture of its other captures, and
-//! scored by the benchmark's rule (one factor per channel and picture, PSNR-H and PSNR-L).
+//! Stanford-ORB's relighting benchmark: one capture of an object is fitted, then relit by the
+//! measured light of each test picture of its other captures, and scored by the benchmark's rule
+//! (one factor per channel and picture, PSNR-H and PSNR-L).
 //!
 //! ```text
 //! cargo run --release --example stanford_orb -- prepare ORB teapot_scene001 OUT
@@ -7,8 +8,9 @@
 //! cargo run --release --example stanford_orb -- mean OUT/run
 //! ```
 //!
-//! `ORB` has the folders `blender_HDR` and `ground_truth`. `OUT` gets camera files that name the photographs where they are, and a scene file with a
-//! `Relight` pass for each picture: a map of `ground_truth` has the axes of its own camera.
+//! `ORB` has the folders `blender_HDR` and `ground_truth`. `OUT` gets camera files that name the
+//! photographs where they are, and a scene file with a `Relight` pass for each picture: a map of
+//! `ground_truth` has the axes of its own camera.
 
 use lobelia::dataset::{DatasetOptions, PlannedView, open_dataset};
 use lobelia::glam::{EulerRot, Mat3, Quat, Vec3};
@@ -50,7 +52,8 @@ fn carry_out() -> Result<()> {
     Ok(())
 }
 
-/// Writes the camera files of a capture and of the test pictures of the object's other captures, and the scene file, whose path is returned.
+/// Writes the camera files of a capture and of the test pictures of the object's other captures,
+/// and the scene file, whose path is returned.
 pub fn prepare(orb: &Path, capture: &str, out: &Path, downscale: u32) -> Result<PathBuf> {
     let photographs = found(&orb.join("blender_HDR"))?;
     let of = |split: &str| frames(&photographs, capture, split);
@@ -71,7 +74,8 @@ fn found(path: &Path) -> Result<PathBuf> {
     fs::canonicalize(path).map_err(|error| format!("{}: {error}", path.display()).into())
 }
 
-/// The frames of `transforms_<split>.json`, with photograph and mask where they are and their own field of view.
+/// The frames of `transforms_<split>.json`, with photograph and mask where they are and their own
+/// field of view.
 fn frames(photographs: &Path, capture: &str, split: &str) -> Result<Vec<Value>> {
     let file = photographs.join(capture).join(format!("transforms_{split}.json"));
     let text = fs::read_to_string(&file).map_err(|error| format!("{}: {error}", file.display()))?;
@@ -131,8 +135,9 @@ fn place_of(view: &PlannedView) -> Result<(String, PathBuf)> {
     Ok((scene.to_string_lossy().into_owned(), image.file_name().unwrap_or_default().into()))
 }
 
-/// How a measured map is turned, in degrees about the world's x, then y, then z. Its middle is the direction in which its camera looks, ¾ are to the right
-/// of it and the top is above (`orb/utils/env_map.py`); those of a map of Lobelia's are +Z, −X and +Y.
+/// How a measured map is turned, in degrees about the world's x, then y, then z. Its middle is the
+/// direction in which its camera looks, ¾ are to the right of it and the top is above
+/// (`orb/utils/env_map.py`); those of a map of Lobelia's are +Z, −X and +Y.
 fn turn_of(view: &PlannedView) -> Vec3 {
     let camera = Mat3::from(view.world_from_camera().matrix3);
     let (right, down, forward) = (camera.x_axis, camera.y_axis, camera.z_axis);

@@ -1,4 +1,5 @@
-//! One world, two lights: the scene's own lobes, then a named light with an environment map, by a swap of the light's system.
+//! One world, two lights: the scene's own lobes, then a named light with an environment map, by a
+//! swap of the light's system.
 //!
 //! `cargo run --release --example swap_light` writes two pictures under `out/examples/`.
 
@@ -16,7 +17,8 @@ fn main() -> Result<()> {
     spawn_object(&mut pipeline.world, &surface, &albedo, &[material], &[lamp]);
     picture(&mut pipeline, "swap_light_lobes")?;
 
-    // Second light: a map. The path tracer would sample the map itself, closed forms take the lobes fitted to it.
+    // Second light: a map. The path tracer would sample the map itself, closed forms take the lobes
+    // fitted to it.
     let sky = evening_sky();
     let fitted = fit_map(&sky, 16, &MapFit::default())?;
     spawn_light(&mut pipeline.world, "evening", &fitted.lobes, Some(Arc::new(MapLight::new(sky))));
@@ -24,7 +26,8 @@ fn main() -> Result<()> {
     picture(&mut pipeline, "swap_light_map")
 }
 
-/// A blue dome over a dark ground, with a low orange sun; any EXR or HDR file would do (`codec::envmap::read_map`).
+/// A blue dome over a dark ground, with a low orange sun; any EXR or HDR file would do
+/// (`codec::envmap::read_map`).
 fn evening_sky() -> EnvironmentMap {
     EnvironmentMap::from_directions(128, 64, |omega| {
         let dome = Vec3::new(0.1, 0.2, 0.5) * omega.y.max(0.0) + Vec3::new(0.05, 0.04, 0.03);

@@ -1,6 +1,7 @@
-//! Lobelia is an inverse renderer: from photographs with known cameras it recovers albedo, specular material, environment light
-//! and, where it is unknown, the shape of an object. Light is a set of spherical Gaussians, and shading by them is in closed form, with
-//! analytic gradients. Everything in flight is entities and components of one [`bevy_ecs`] world, so that editing, relighting and
+//! Lobelia is an inverse renderer: from photographs with known cameras it recovers albedo, specular
+//! material, environment light and, where it is unknown, the shape of an object. Light is a set of
+//! spherical Gaussians, and shading by them is in closed form, with analytic gradients. Everything
+//! in flight is entities and components of one [`bevy_ecs`] world, so that editing, relighting and
 //! choosing a renderer are changes to the world or swaps of one system.
 //!
 //! ```
@@ -53,15 +54,16 @@
 //!
 //! # Dependencies
 //!
-//! The command is the crate `lobelia-cli`; a program that uses the library needs none of it. [`bevy_ecs`] and [`glam`] are exported, so that
-//! it needs no versions of its own that match; derive macros such as `Component` work where [`prelude`] is imported.
+//! The command is the crate `lobelia-cli`; a program that uses the library needs none of it.
+//! [`bevy_ecs`] and [`glam`] are exported, so that it needs no versions of its own that match;
+//! derive macros such as `Component` work where [`prelude`] is imported.
 //!
 //! # The manual
 //!
-//! The folder `docs/src` holds the manual. *Getting started* and *Scene files* are about the command; *The method*,
-//! *Spherical Gaussians and shading*, *The fit* and *Shape and cameras* have the equations; *Conventions* has axes, units
-//! and parametrizations; *Extending Lobelia* is the guide to systems, slots and plugins of your own. The folder `examples` has
-//! short programs.
+//! The folder `docs/src` holds the manual. *Getting started* and *Scene files* are about the
+//! command; *The method*, *Spherical Gaussians and shading*, *The fit* and *Shape and cameras* have
+//! the equations; *Conventions* has axes, units and parametrizations; *Extending Lobelia* is the
+//! guide to systems, slots and plugins of your own. The folder `examples` has short programs.
 
 pub mod page;
 pub mod pass;
@@ -84,12 +86,14 @@ pub use lobelia_world::{checkpoint, light, material, pipeline, sample};
 
 static VERSION: OnceLock<String> = OnceLock::new();
 
-/// Version in manifests, reports and checkpoints: that of this crate, or of the program that called [`set_version`].
+/// Version in manifests, reports and checkpoints: that of this crate, or of the program that called
+/// [`set_version`].
 pub fn version() -> &'static str {
     VERSION.get().map_or(env!("CARGO_PKG_VERSION"), String::as_str)
 }
 
-/// Names the version of the program, once and before its first run. A commit in it does not compile this crate again.
+/// Names the version of the program, once and before its first run. A commit in it does not compile
+/// this crate again.
 pub fn set_version(version: &str) {
     VERSION.get_or_init(|| version.to_owned());
 }

@@ -1,5 +1,6 @@
-//! `lobelia check` on photographs: what it says, what it writes, what stops a run before it costs time, and that the two agree: what one
-//! refuses the other refuses, with the same message, and what `check` takes does run.
+//! `lobelia check` on photographs: what it says, what it writes, what stops a run before it costs
+//! time, and that the two agree: what one refuses the other refuses, with the same message, and
+//! what `check` takes does run.
 
 use crate::common::{Data, NOVEL, Outcome, changed, files_below, scene, usual};
 use serde_json::Value;
@@ -98,7 +99,8 @@ fn check_refuses_what_a_run_refuses_before_its_first_pass() {
     }
 }
 
-/// Choices for each part of a scene: words that are right, and some that are not. The first of each are right together.
+/// Choices for each part of a scene: words that are right, and some that are not. The first of each
+/// are right together.
 const SURFACES: [&str; 6] = [
     r#"Mesh(path: "$DATA/mesh.glb", texture_size: 16)"#,
     "Sphere(radius: 0.8, texture_size: 16)",

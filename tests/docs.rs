@@ -1,8 +1,9 @@
-//! The documentation is tested like code: the scene-file reference is what the types say, RON blocks load, commands and
-//! flags exist, links lead somewhere, and lists are complete.
+//! The documentation is tested like code: the scene-file reference is what the types say, RON
+//! blocks load, commands and flags exist, links lead somewhere, and lists are complete.
 //!
-//! A `ron` block is a whole `Scene(…)`, or a list of fields of a scene (`light: …`) and of passes (`Edit(…)`), each of which is put
-//! into a small scene of its own. Files that a block names are made, empty, before it is loaded.
+//! A `ron` block is a whole `Scene(…)`, or a list of fields of a scene (`light: …`) and of passes
+//! (`Edit(…)`), each of which is put into a small scene of its own. Files that a block names are
+//! made, empty, before it is loaded.
 
 mod reference;
 
@@ -148,7 +149,8 @@ fn wrapped(item: &str) -> String {
     let word = item.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap_or_default();
     let (mut surface, mut views, mut more) = ("Sphere()", r#"Dataset(path: "$DATA")"#, item.to_owned());
     if !item[word.len()..].trim_start().starts_with(':') {
-        // What the pass needs before it: something that fits, the passes that it scores, and the one that it saves.
+        // What the pass needs before it: something that fits, the passes that it scores, and the
+        // one that it saves.
         let mut before = if word == "Shape" { String::new() } else { "Fit(name: \"before\"), ".to_owned() };
         let named = |field: &str| -> Vec<&str> {
             item.split(&format!("{field}: \"")).skip(1).filter_map(|rest| rest.split('"').next()).collect()
@@ -314,7 +316,8 @@ fn rust_blocks_are_in_pages_that_are_compiled() {
     }
 }
 
-/// The README links to every example and every scene, and `SUMMARY.md` to every chapter, and to nothing else there.
+/// The README links to every example and every scene, and `SUMMARY.md` to every chapter, and to
+/// nothing else there.
 #[test]
 fn lists_are_complete() {
     let lists = [("README.md", "examples"), ("README.md", "scenes"), ("docs/src/SUMMARY.md", "docs/src")];

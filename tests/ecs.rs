@@ -293,7 +293,8 @@ fn a_fit_that_is_removed_leaves_what_it_found_and_nothing_else() {
         pipeline.remove_plugin::<FitPlugin>();
         let after = names(&mut pipeline.world);
         let left: BTreeSet<_> = after.difference(&before).filter_map(|of| of.rsplit("::").next()).collect();
-        // The list of what checkpoints keep, the frame that was found, and the empty shadows that frames use too.
+        // The list of what checkpoints keep, the frame that was found, and the empty shadows that
+        // frames use too.
         assert_eq!(left, BTreeSet::from(["Kept", "OwnLightFrame", "WindowVisibility"]));
     }
 }

@@ -1,4 +1,5 @@
-//! Environment lights from end to end: `lobelia env`, and maps that light the side of a sphere they should.
+//! Environment lights from end to end: `lobelia env`, and maps that light the side of a sphere they
+//! should.
 
 use crate::common::{Data, GRAY_SPHERE, day, write_unchecked};
 use glam::Vec3;
@@ -159,7 +160,8 @@ fn bad_maps_are_refused_with_one_message() {
 fn one_bright_texel_lights_the_right_side_of_a_sphere() {
     use MapConvention::{Blender, Lobelia, ThreeJs};
     let data = Data::bare();
-    // Columns 8, 16, 24 of 32 are a quarter, the middle, three quarters; rows 0 and 15 are the poles.
+    // Columns 8, 16, 24 of 32 are a quarter, the middle, three quarters; rows 0 and 15 are the
+    // poles.
     let cases = [
         (Lobelia, (8, 8), "right"),
         (Lobelia, (16, 8), "center"),
@@ -169,7 +171,8 @@ fn one_bright_texel_lights_the_right_side_of_a_sphere() {
         (ThreeJs, (16, 8), "right"),
         (ThreeJs, (24, 8), "center"),
         (ThreeJs, (0, 8), "left"),
-        // Blender's +Z, its maps' top, looks into the camera; its −Y, at three quarters, is down in this picture.
+        // Blender's +Z, its maps' top, looks into the camera; its −Y, at three quarters, is down in
+        // this picture.
         (Blender, (16, 8), "right"),
         (Blender, (24, 8), "bottom"),
         (Blender, (5, 0), "center"),

@@ -1,5 +1,5 @@
-//! Exported files hold the object: read back, they give the same picture. `Save` and `Export` write it as an `Edit` or `Relight` pass
-//! shows it, if asked to.
+//! Exported files hold the object: read back, they give the same picture. `Save` and `Export` write
+//! it as an `Edit` or `Relight` pass shows it, if asked to.
 
 use crate::common::{Data, changed, files_below, known_scene, write_image};
 use glam::Vec3;
@@ -36,7 +36,8 @@ fn scene(surface: &str, material: &str, passes: &str) -> String {
     SCENE.replace("{SURFACE}", surface).replace("{MATERIAL}", material).replace("{PASSES}", passes)
 }
 
-/// A folder with `paint.exr`: smooth, with channels from 0.05 to 0.65, which 1 − F̄ leaves room for.
+/// A folder with `paint.exr`: smooth, with channels from 0.05 to 0.65, which 1 − F̄ leaves room
+/// for.
 fn studio() -> Data {
     let data = Data::new();
     let wave = |i: usize, k: f32| 0.35 + 0.3 * ((i % 64) as f32 * 0.11 * k + (i / 64) as f32 * 0.07).sin();
@@ -45,7 +46,8 @@ fn studio() -> Data {
     data
 }
 
-/// PSNR of the colors of two runs' pictures, display range, over the pixels that the first shows anything in.
+/// PSNR of the colors of two runs' pictures, display range, over the pixels that the first shows
+/// anything in.
 fn psnr(data: &Data, a: &str, b: &str) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for view in ["a", "b"] {

@@ -1,4 +1,5 @@
-//! Films: what changes over their frames, and what they are written as; pictures in bands, which have the bits of whole ones.
+//! Films: what changes over their frames, and what they are written as; pictures in bands, which
+//! have the bits of whole ones.
 
 use crate::common::{Data, GRAY_SPHERE, Outcome, camera, command, day, files_below, is_temporary, studio};
 use image::RgbImage;
@@ -145,7 +146,8 @@ fn in_bands(pipeline: &mut Pipeline, camera: Camera, samples: u32, rows: u32) ->
     whole
 }
 
-/// A tile has 2¹⁶ samples; in the large picture tiles end within rows, and within the samples of a pixel.
+/// A tile has 2¹⁶ samples; in the large picture tiles end within rows, and within the samples of a
+/// pixel.
 #[test]
 fn bands_have_the_bits_of_the_whole_picture() {
     let (small, large) = (view(19, 23), view(97, 90));

@@ -61,7 +61,8 @@ fn state(world: &mut World) -> String {
     words
 }
 
-/// A fit of a photograph of the studio in which something is NaN in some steps; its state after each step.
+/// A fit of a photograph of the studio in which something is NaN in some steps; its state after
+/// each step.
 fn poisoned_fit(
     poison: Poison,
     options: &FitOptions,

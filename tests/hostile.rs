@@ -1,5 +1,6 @@
-//! Hostile, damaged and senseless input: one clear message that names the file, exit code 2, little time, little memory, and nothing
-//! written; never a panic. What may be odd but is understood is taken. Readers of files have such tests of their own, of every kind.
+//! Hostile, damaged and senseless input: one clear message that names the file, exit code 2, little
+//! time, little memory, and nothing written; never a panic. What may be odd but is understood is
+//! taken. Readers of files have such tests of their own, of every kind.
 
 use crate::common::{self, *};
 use image::{DynamicImage, GrayImage, Luma};
@@ -7,9 +8,11 @@ use serde_json::json;
 use std::process::{Command, Stdio};
 use std::{sync::mpsc::channel, time::Duration};
 
-/// Most address space of the program here, in KiB: hostile input must not take what the machine has.
+/// Most address space of the program here, in KiB: hostile input must not take what the machine
+/// has.
 const MOST_KIB: u32 = 3 << 20;
-/// Most seconds; a debug build on a busy machine is slow, and what is hostile takes minutes or never ends.
+/// Most seconds; a debug build on a busy machine is slow, and what is hostile takes minutes or
+/// never ends.
 const MOST_SECS: u64 = 60;
 
 const LIGHT: &str = "Lobes(lobes: [(axis: (1, 0.2, 0.5), sharpness: 4, amplitude: (1, 1, 1))])";
@@ -50,7 +53,8 @@ fn bounded(folder: &Data, arguments: &[&str]) -> Outcome {
     output.unwrap_or_else(|_| panic!("{arguments:?} still runs after {MOST_SECS} s")).unwrap().into()
 }
 
-/// Expects that the command is refused with one short message that has all `words`, and that no file is new.
+/// Expects that the command is refused with one short message that has all `words`, and that no
+/// file is new.
 #[track_caller]
 fn refuses(folder: &Data, arguments: &[&str], words: &[&str]) {
     let before = files_below(folder.root());

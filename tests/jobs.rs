@@ -1,4 +1,5 @@
-//! Scripts that run many objects, the table of what these have come to, and events for programs (`lobelia run --log json`).
+//! Scripts that run many objects, the table of what these have come to, and events for programs
+//! (`lobelia run --log json`).
 
 use crate::common::{Data, GRAY_SPHERE, Outcome, is_installed, scene, skipped};
 use serde_json::Value;
@@ -35,7 +36,8 @@ fn has_run(data: &Data, jug: bool, vase: bool) {
     assert_eq!(there, [jug, vase]);
 }
 
-/// Runs a script of the examples with the folders of objects and of results; expects that it runs one object, or both.
+/// Runs a script of the examples with the folders of objects and of results; expects that it runs
+/// one object, or both.
 #[track_caller]
 fn runs(program: &str, arguments: &[&str], script: &str, variable: Option<(&str, &str)>, both: bool) {
     let data = objects();

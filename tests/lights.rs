@@ -39,7 +39,8 @@ const SCENE: &str = r#"Scene(
 )
 "#;
 
-/// The scene with these words about what is true and what is assumed, and with other words replaced.
+/// The scene with these words about what is true and what is assumed, and with other words
+/// replaced.
 pub fn lamp(truth: &str, assumed: &str, words: &[(&str, &str)]) -> String {
     let text = words.iter().fold(SCENE.to_owned(), |text, (word, by)| changed(&text, word, by));
     text.replace("TRUTH", truth).replace("ASSUMED", assumed)
@@ -188,7 +189,8 @@ fn with_views(passes: &str, words: &str) -> String {
     scene(passes).replace(r#"Dataset(path: "$DATA")"#, &format!(r#"Dataset(path: "$DATA", {words})"#))
 }
 
-/// The scene of a data set whose first photograph of each split is of one placement, and the others of another.
+/// The scene of a data set whose first photograph of each split is of one placement, and the others
+/// of another.
 fn with_placements(second: &str, last: &str) -> String {
     let placements = format!(r#"placements: [(photographs: "rgb_000000"), (photographs: "rgb_", {second})]"#);
     with_views(&[FIT, NOVEL, last].concat(), &placements)
@@ -270,7 +272,8 @@ fn words_about_lights_and_placements_that_cannot_be_are_refused() {
 
 // Prior maps of the user's own.
 
-/// Maps of the training photographs: their albedo at `level` of the truth, and their normals in the camera's axes.
+/// Maps of the training photographs: their albedo at `level` of the truth, and their normals in the
+/// camera's axes.
 fn write_maps(data: &Data, level: f32) {
     let mut studio = studio(&day());
     for (i, from) in TRAIN.into_iter().enumerate() {
@@ -297,7 +300,8 @@ fn a_fit_has_the_mean_color_of_the_albedo_maps_whatever_their_level() {
         fit(&data, &with_views(passes, priors));
         let scale = &data.metrics("out")["scale"];
         assert!(scale["rule"].as_str().unwrap().starts_with("MeanAlbedo("), "{scale}");
-        // Half the sphere is (0.6, 0.3, 0.2), half (0.2, 0.35, 0.5): the mean is (0.4, 0.325, 0.35).
+        // Half the sphere is (0.6, 0.3, 0.2), half (0.2, 0.35, 0.5): the mean is (0.4, 0.325,
+        // 0.35).
         let (mean, expected) = (numbers(&scale["mean_albedo"]), [0.4, 0.325, 0.35]);
         let gray = mean.iter().sum::<f64>() / 3.0;
         assert!((gray - 0.4).abs() < 0.01, "{mean:?}");

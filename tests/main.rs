@@ -1,4 +1,5 @@
-//! The tests of the whole program and of the library as a user sees it, in one binary: it is linked once.
+//! The tests of the whole program and of the library as a user sees it, in one binary: it is linked
+//! once.
 
 mod common;
 

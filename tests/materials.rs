@@ -1,5 +1,5 @@
-//! Materials from photographs to a saved scene: the distribution of normals, several glosses, metal beside paint, sheen, tilt, and
-//! textures as fine as the photographs.
+//! Materials from photographs to a saved scene: the distribution of normals, several glosses, metal
+//! beside paint, sheen, tilt, and textures as fine as the photographs.
 
 use crate::common::*;
 use crate::lights::lamp;
@@ -11,7 +11,8 @@ use lobelia::{
 use std::ops::{ControlFlow, Range};
 use std::sync::LazyLock;
 
-/// A sphere of one color under a known light, which a fit finds with its gloss; nothing can hide anything.
+/// A sphere of one color under a known light, which a fit finds with its gloss; nothing can hide
+/// anything.
 const SCENE: &str = r#"Scene(
     version: 1,
     surface: Sphere(radius: 0.9, texture_size: 32),
@@ -53,7 +54,8 @@ fn numbers(text: &str, word: &str) -> Vec<f64> {
     parts.filter_map(|number| number.trim().parse().ok()).collect()
 }
 
-/// Mean absolute difference relative to the mean, of the specular light in the first pictures of two passes.
+/// Mean absolute difference relative to the mean, of the specular light in the first pictures of
+/// two passes.
 fn difference(data: &Data, a: &str, b: &str) -> f32 {
     let [a, b] = [a, b].map(|pass| data.exr(&data.pictures(pass)[0]).channels["specular.G"].clone());
     a.iter().zip(&b).map(|(a, b)| (a - b).abs()).sum::<f32>() / b.iter().sum::<f32>()
@@ -131,7 +133,8 @@ fn two_glosses_are_told_apart_and_kept() {
     data.run(&two_glosses("Blend(materials: 2)"), "out", &["--quiet"]).succeeded();
     let found = numbers(&data.text("out/fit/materials.ron"), "roughness: ");
     assert!((found[0] - 0.25).abs() < 0.03 && (found[1] - 0.5).abs() < 0.06, "{found:?}");
-    // The back is rough, the front is not. Row y of the texture is at polar angle π(y + ½)/48, column x at azimuth 2π(x + ½)/48 − π/2.
+    // The back is rough, the front is not. Row y of the texture is at polar angle π(y + ½)/48,
+    // column x at azimuth 2π(x + ½)/48 − π/2.
     let rough = &data.exr("out/fit/blend.exr").channels["weight1"];
     let right = (0..48 * 48).filter(|i| {
         let phi = std::f32::consts::PI * ((i / 48) as f32 + 0.5) / 48.0;
@@ -140,7 +143,8 @@ fn two_glosses_are_told_apart_and_kept() {
     });
     assert!(right.count() > 48 * 48 * 9 / 10);
     data.reopens("out");
-    // Scenes that were saved before a fit could choose the distribution say `Sg` beside the materials.
+    // Scenes that were saved before a fit could choose the distribution say `Sg` beside the
+    // materials.
     let saved = data.text("out/saved/scene.ron");
     let check = |ndf: &str| {
         data.write("out/saved/older.ron", changed(&saved, "ndf: Auto", ndf));
@@ -381,7 +385,8 @@ fn a_saved_sheen_opens_with_the_same_bits() {
     data.check(&unknown).refused(&["sheen: Unknown", "a fit finds both together"]);
 }
 
-/// The studio after its albedo, from gray on, and its tilt if asked for, are solved for from these photographs.
+/// The studio after its albedo, from gray on, and its tilt if asked for, are solved for from these
+/// photographs.
 fn solved(mut start: Pipeline, photographs: Vec<ViewRecord>, tilt: bool) -> Pipeline {
     start.add_plugin(&FitPlugin);
     for texel in lobelia::material::texels_in_order(&mut start.world) {
@@ -430,8 +435,8 @@ fn an_edit_of_the_color_leaves_as_much_tilt_as_it_leaves_color() {
     assert_eq!(after(EditAction::Set(Vec3::X)), Vec3::ZERO);
 }
 
-/// Fits textures to the photographs of a data set under the known light, with these words about the fit and the material, and saves
-/// what was found.
+/// Fits textures to the photographs of a data set under the known light, with these words about the
+/// fit and the material, and saves what was found.
 fn fitted_texture(data: &Data, out: &str, fit: &str, material: &str) -> String {
     let passes = format!(
         r#"Fit(name: "fit", {fit}), Render(name: "novel"),
@@ -506,7 +511,8 @@ fn the_albedo_is_that_of_the_photographs_and_one_that_disagrees_counts_less() {
     };
     let views = photographs_of(&mut plain_studio(truth), 12, 48, spoil);
     let spoiled = well_seen(solved(plain_studio(gray), views, false));
-    // The plain mean of some four photographs of a texel is off by a quarter of what one of them is off.
+    // The plain mean of some four photographs of a texel is off by a quarter of what one of them is
+    // off.
     let mean = sum(&spoiled) / spoiled.len() as f32;
     assert!((mean - truth).length() < 0.04, "{mean}");
     // Cameras that disagree with their photographs are no error.

@@ -1,5 +1,6 @@
-//! A hundred changed copies of a small good file for each parser: every one is read or refused, in little time, without a panic. The same
-//! copies at every run; `fuzz/` has those that are found by looking.
+//! A hundred changed copies of a small good file for each parser: every one is read or refused, in
+//! little time, without a panic. The same copies at every run; `fuzz/` has those that are found by
+//! looking.
 
 use crate::common::{Data, camera, day, shoot, studio};
 use glam::Vec3;

@@ -1,5 +1,5 @@
-//! Outputs never touch inputs, whatever passes, views and folders are called; two runs never mix; and `run.json` says what belongs
-//! together, whatever became of the run.
+//! Outputs never touch inputs, whatever passes, views and folders are called; two runs never mix;
+//! and `run.json` says what belongs together, whatever became of the run.
 
 use crate::common::*;
 use serde_json::Value;
@@ -13,7 +13,8 @@ fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     files.map(|file| (file.clone(), std::fs::read(folder.join(file)).unwrap())).collect()
 }
 
-/// Expects that a run into `out` with `--force` is refused with one message that has all `words`, and that nothing changes.
+/// Expects that a run into `out` with `--force` is refused with one message that has all `words`,
+/// and that nothing changes.
 #[track_caller]
 fn refused(data: &Data, scene: &str, out: &str, words: &[&str]) {
     data.write("scene.ron", scene);
@@ -78,7 +79,8 @@ fn force_replaces_what_a_run_wrote_and_nothing_else() {
     refused(&data, &mine, "out", &["no run.json", "older version"]);
 }
 
-/// Results of an earlier run under the name of a pass would go before it begins, also those that it does not write again.
+/// Results of an earlier run under the name of a pass would go before it begins, also those that it
+/// does not write again.
 #[test]
 fn force_removes_no_result_that_the_run_reads() {
     let data = Data::new();

@@ -1,5 +1,5 @@
-//! Pages: what `View` and `lobelia view` write of a saved object; what `lobelia run` writes of itself after every pass, and
-//! `lobelia report` makes of runs; and what they refuse.
+//! Pages: what `View` and `lobelia view` write of a saved object; what `lobelia run` writes of
+//! itself after every pass, and `lobelia report` makes of runs; and what they refuse.
 
 use crate::common::{Data, GRAY_SPHERE, files_below, photographed, scene};
 use serde_json::Value;
@@ -52,7 +52,8 @@ fn pages_offer_the_lights_and_cameras_of_the_scene() {
     assert!(shiny["edits"][0].as_str().unwrap().starts_with("Roughness("), "{shiny}");
     assert!(data.bytes("out/view/view.html").len() < 340_000);
 
-    // A saved object gets a page and nothing else; an earlier page is replaced, and a file of the user is not.
+    // A saved object gets a page and nothing else; an earlier page is replaced, and a file of the
+    // user is not.
     let before = files_below(&data.path("out"));
     data.write("moon.ron", "Lobes(lobes: [(axis: (0, 1, 0), sharpness: 9, amplitude: (1, 1, 2))])");
     data.lobelia(&["view", "out"]).succeeded();

@@ -126,7 +126,8 @@ fn a_camera_that_is_off_is_moved_back_and_written_down() {
         (view.1[0] - truth[i].1[0]).hypot(view.1[1] - truth[i].1[1])
     };
     let wrong = (0..truth.len()).find(|&i| off(&given, i) > 0.5).expect("a camera was moved by a pixel");
-    // So few views leave the shape free to go part of the way instead, and all cameras to share the rest.
+    // So few views leave the shape free to go part of the way instead, and all cameras to share the
+    // rest.
     assert!(off(&found, wrong) < 0.75 * off(&given, wrong), "{} {}", off(&found, wrong), off(&given, wrong));
     for right in (0..truth.len()).filter(|i| *i != wrong) {
         assert!(off(&found, right) < 0.5, "view {right}: {} pixels", off(&found, right));
@@ -138,7 +139,8 @@ fn a_camera_that_is_off_is_moved_back_and_written_down() {
     data.check(SCENE).succeeded();
 }
 
-/// Vertices that moved, and a focal length that was found, are saved, and the object looks the same again.
+/// Vertices that moved, and a focal length that was found, are saved, and the object looks the same
+/// again.
 #[test]
 fn moved_vertices_and_a_found_focal_length_are_saved() {
     let data = photographs();

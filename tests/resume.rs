@@ -56,7 +56,8 @@ fn results(data: &Data, out: &str) -> BTreeMap<String, String> {
     files_below(&data.path(out)).into_iter().map(read).collect()
 }
 
-/// Runs a scene without a break, and with a break at each of these deaths in turn: the results must be the same.
+/// Runs a scene without a break, and with a break at each of these deaths in turn: the results must
+/// be the same.
 #[track_caller]
 fn survives(data: &Data, scene: &str, deaths: &[Death]) {
     run(data, scene, "whole", false, None).unwrap().unwrap();
@@ -101,7 +102,8 @@ fn scene(material: &str, passes: &str) -> String {
 fn a_fit_goes_on_from_the_last_part_that_was_done() {
     let data = two_balls();
     let text = scene("", &fit_and_save("steps: 300, detail: true"));
-    // With one material, with several, with what was chosen, while the texture gets its detail, and during the pictures.
+    // With one material, with several, with what was chosen, while the texture gets its detail, and
+    // during the pictures.
     let tried = ("fit, several base materials", 40);
     survives(&data, &text, &[("fit", 60), tried, ("fit", 160), ("fit", 85), ("novel", 1)]);
 }
@@ -115,7 +117,8 @@ fn a_fit_that_moves_cameras_and_vertices_has_no_parts_but_its_choices_and_its_de
     survives(&data, &text, &[("fit", 77), ("fit", 85), ("novel", 1)]);
 }
 
-/// A scene whose first photograph of each split is of one placement, and the others of another, of which more is `said`.
+/// A scene whose first photograph of each split is of one placement, and the others of another, of
+/// which more is `said`.
 fn in_two_rounds(passes: &str, said: &str) -> String {
     let rounds = format!(r#"[(photographs: "rgb_000000"), (photographs: "rgb_"{said})]"#);
     let views = format!(r#"Dataset(path: "$DATA", placements: {rounds})"#);

@@ -1,4 +1,5 @@
-//! A whole run on small data: every pass, every file, the same bytes again, stopping it, and the other commands.
+//! A whole run on small data: every pass, every file, the same bytes again, stopping it, and the
+//! other commands.
 
 use crate::common::{DISTANCE, Data, RADIUS, SIZE, TEST, camera, files_below, is_temporary, scene};
 use serde_json::{Value, json};
@@ -41,7 +42,8 @@ const FILES: &str = "
 fn same_bytes(data: &Data, a: &str, b: &str) {
     let files = files_below(&data.path(a));
     assert_eq!(files, files_below(&data.path(b)));
-    // The contact sheet bears the name of the output folder, the saved scene the data's path, which is the same here.
+    // The contact sheet bears the name of the output folder, the saved scene the data's path, which
+    // is the same here.
     let timed = ["metrics.json", "run.json", "report.html", "fit/log.csv", "scores/contact_sheet.png"];
     for file in files.iter().filter(|file| !timed.contains(&file.as_str())) {
         assert!(data.bytes(format!("{a}/{file}")) == data.bytes(format!("{b}/{file}")), "{file} differs");
@@ -54,7 +56,8 @@ fn same_bytes(data: &Data, a: &str, b: &str) {
     assert_eq!(a, b);
 }
 
-/// The run of everything into `out` with two threads, and what it said. Its scene file stays as it is.
+/// The run of everything into `out` with two threads, and what it said. Its scene file stays as it
+/// is.
 pub static WHOLE: LazyLock<(Data, String)> = LazyLock::new(|| {
     let data = Data::shared("whole");
     let scene = scene(PASSES).replace("size: 16", "size: 32").replace("lobes: 6", "lobes: 12");
@@ -144,7 +147,8 @@ fn check_log(log: &str) {
     assert!(last[2] < 0.9 * first[2] && last[3] > first[3], "the loss goes from {} to {}", first[2], last[2]);
 }
 
-/// The edit of one half changes that half and nothing else, and later passes see the material as it was.
+/// The edit of one half changes that half and nothing else, and later passes see the material as it
+/// was.
 fn check_region(data: &Data) {
     for (view, from) in ["rgb_000000", "rgb_000001"].into_iter().zip(TEST) {
         let picture = |pass: &str| data.exr(format!("out/{pass}/{view}.exr"));
@@ -201,7 +205,8 @@ fn eval_compares_two_folders() {
     let table = eval("out/novel", "test/image");
     assert!(table.contains("rgb_000000") && table.contains("rgb_000001"), "{table}");
     assert!(table.contains("sRGB: mask "), "{table}");
-    // The photographs bear no alpha, so the mask is the prediction's own, which is the true one here.
+    // The photographs bear no alpha, so the mask is the prediction's own, which is the true one
+    // here.
     let psnr = data.novel("out");
     assert!(table.contains(&format!("{psnr:.2}")), "no {psnr:.2} in\n{table}");
     let other = eval("test/gt/relit", "test/image");

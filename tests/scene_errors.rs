@@ -1,4 +1,5 @@
-//! A wrong scene file gives one clear report with file, line, column and caret, exit code 2, and writes nothing.
+//! A wrong scene file gives one clear report with file, line, column and caret, exit code 2, and
+//! writes nothing.
 
 use crate::common::{Data, Outcome, changed, files_below, flat};
 
@@ -39,7 +40,8 @@ fn wrong(from: &str, to: &str) -> String {
     changed(RIGHT, from, to)
 }
 
-/// Expects a report about `RIGHT` with `from` replaced by `to`, at the line and column of `caret`, with an underline and all `words`.
+/// Expects a report about `RIGHT` with `from` replaced by `to`, at the line and column of `caret`,
+/// with an underline and all `words`.
 #[track_caller]
 fn refused(from: &str, to: &str, caret: &str, words: &[&str]) {
     refused_scene(&wrong(from, to), caret, words);

@@ -1,5 +1,5 @@
-//! Scores: in sRGB, of normals, of public benchmarks, and those of small scenes to a hundredth of a decibel, so that each change of them is
-//! seen and explained.
+//! Scores: in sRGB, of normals, of public benchmarks, and those of small scenes to a hundredth of a
+//! decibel, so that each change of them is seen and explained.
 
 use crate::common::{self, *};
 use glam::{Affine3A, Vec3};
@@ -70,7 +70,8 @@ fn passes_are_scored_in_srgb_and_views_by_the_evaluation_that_scored_them() {
     let passes = &metrics["passes"];
     for scores in [&passes["novel"]["srgb"], &passes["novel"]["views"][1]["srgb"]] {
         let value = |key: &str| scores[key].as_f64().unwrap_or_else(|| panic!("no {key} in {scores}"));
-        // Around the object nothing is wrong; its outline is right, so the background makes no difference to errors.
+        // Around the object nothing is wrong; its outline is right, so the background makes no
+        // difference to errors.
         assert!(value("psnr_mask") > 5.0 && value("psnr_mask") + 1.0 < value("psnr_white"), "{scores}");
         assert!((value("psnr_white") - value("psnr_black")).abs() < 0.5, "{scores}");
         let ssim = ["ssim_white", "ssim_black"].map(value);
@@ -111,8 +112,9 @@ fn outliers_are_those_of_the_picture_that_is_scored() {
 
 const TABLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/scores.ron");
 const HEAD: &str = "\
-// Scores of the runs that `tests/scores.rs` names. The same instruction set gives the same bits; others may differ by 0.05 dB or
-// degrees, or 0.0005 of what has no unit. Write the table again with `LOBELIA_BLESS=1 cargo test scores_are_those`, and say why it changed.
+// Scores of the runs that `tests/scores.rs` names. The same instruction set gives the same bits;
+// others may differ by 0.05 dB or degrees, or 0.0005 of what has no unit. Write the table again
+// with `LOBELIA_BLESS=1 cargo test scores_are_those`, and say why it changed.
 ";
 
 #[derive(Deserialize)]
@@ -170,8 +172,8 @@ fn scores_are_those_of_the_table() {
     assert!(changed.is_empty(), "{own}: {changed:#?}");
 }
 
-// Public benchmarks of relighting, on look-alikes: TensoIR-Synthetic's layout and truths, and Stanford-ORB's by the example that
-// prepares it.
+// Public benchmarks of relighting, on look-alikes: TensoIR-Synthetic's layout and truths, and
+// Stanford-ORB's by the example that prepares it.
 
 /// The usual field of view, in radians.
 fn angle() -> f32 {
@@ -274,7 +276,8 @@ fn tensoir_synthetic_is_fitted_relit_and_scored() {
     assert!(!data.path("none").exists());
 }
 
-/// Writes pictures and masks of a capture, and its camera files; of the test views also the map of the light, in the axes of their cameras.
+/// Writes pictures and masks of a capture, and its camera files; of the test views also the map of
+/// the light, in the axes of their cameras.
 fn write_capture(orb: &Path, capture: &str, lobes: &[LightLobe], others: &[Value]) -> Vec<Value> {
     let folder = orb.join("blender_HDR").join(capture);
     let mut studio = studio(lobes);
@@ -303,8 +306,9 @@ fn write_capture(orb: &Path, capture: &str, lobes: &[LightLobe], others: &[Value
     novel
 }
 
-/// A map of 128 × 64 in a camera's axes, as `env_map_to_cam_to_world_by_convention` of the benchmark's code reads it: column (atan2(x, −z) + π)/2π, row arccos(y)/π of
-/// a direction in OpenGL axes.
+/// A map of 128 × 64 in a camera's axes, as `env_map_to_cam_to_world_by_convention` of the
+/// benchmark's code reads it: column (atan2(x, −z) + π)/2π, row arccos(y)/π of a direction in
+/// OpenGL axes.
 fn map_of(lobes: &[LightLobe], world_from_camera: &Affine3A) -> Vec<Vec3> {
     let radiance = |i: usize| {
         let (column, row) = ((i % 128) as f32 + 0.5, (i / 128) as f32 + 0.5);

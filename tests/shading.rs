@@ -1,4 +1,5 @@
-//! Ways to shade: exchanged in one world with lights and back again, shadows in closed form against the path tracer, and known values.
+//! Ways to shade: exchanged in one world with lights and back again, shadows in closed form against
+//! the path tracer, and known values.
 
 use crate::common::{camera, day, evening, join, object, shoot, studio};
 use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
@@ -15,7 +16,8 @@ fn traced_shading() -> ScheduleConfigs<ScheduleSystem> {
     shade_path_traced(PathTracing { paths_per_sample: 32, max_bounces: 2, seed: 7, samples_per_pixel: 4 })
 }
 
-/// Mean color over the pixels that are wholly on the object, in the part of the picture that `part` picks by column.
+/// Mean color over the pixels that are wholly on the object, in the part of the picture that `part`
+/// picks by column.
 fn mean(frame: &Frame, part: impl Fn(usize) -> bool) -> Vec3 {
     let inside = |i: &usize| frame.alpha[*i] == 1.0 && part(*i % frame.width);
     let pixels: Vec<Vec3> = (0..frame.color.len()).filter(inside).map(|i| frame.color[i]).collect();
@@ -34,7 +36,8 @@ fn shading_and_light_are_swapped_in_one_world_and_back() {
     let mut pipeline = studio(&day());
     let accurate = shoot(&mut pipeline, front);
 
-    // A convex object has no shadow of its own and no interreflection: only the closed form's approximations differ.
+    // A convex object has no shadow of its own and no interreflection: only the closed form's
+    // approximations differ.
     pipeline.swap(Phase::Frame, Slot::Shading, traced_shading());
     let traced = shoot(&mut pipeline, front);
     assert_ne!(traced.color, accurate.color);
@@ -150,14 +153,17 @@ fn shadows_and_reflections_come_close_to_path_tracing() {
     }
 }
 
-// Known values: hemisphere integrals from elsewhere, and the published formulas in double precision.
+// Known values: hemisphere integrals from elsewhere, and the published formulas in double
+// precision.
 
-/// Eight cases: rough and sharp, bright and in the far tails, light above and below the horizon, viewers near it.
+/// Eight cases: rough and sharp, bright and in the far tails, light above and below the horizon,
+/// viewers near it.
 fn cases() -> Vec<Map<String, Value>> {
     serde_json::from_str(include_str!("data/sg_cases.json")).unwrap()
 }
 
-/// Expects found and known values of all cases to differ by no more than the tolerance of a known value and a standard error.
+/// Expects found and known values of all cases to differ by no more than the tolerance of a known
+/// value and a standard error.
 #[track_caller]
 fn agree(mode: &str, known: &str, tolerance: impl Fn(f64, f64) -> f64) {
     let mut cases = cases();
@@ -183,7 +189,8 @@ fn closed_forms_and_the_path_tracer_agree_with_known_values() {
     agree("published", "approx", |known, _| 1e-3 * known + 1e-6);
     agree("accurate", "exact", |known, _| 5e-2 * known + 1e-4);
     agree("accurate-high", "exact", |known, _| 5e-2 * known + 1e-4);
-    // Values that are too small for single precision are zero. The known integrals are good to 1 % or so.
+    // Values that are too small for single precision are zero. The known integrals are good to 1 %
+    // or so.
     agree("path-traced", "exact", |known, error| 4.0 * error + 0.02 * known + 1e-8);
 }
 

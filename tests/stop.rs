@@ -5,7 +5,8 @@ use crate::photos::photographs;
 use glam::Vec3;
 use std::time::{Duration, Instant};
 
-/// How long a run may take to stop; a program without optimization on a busy machine gets more than the two seconds that it needs.
+/// How long a run may take to stop; a program without optimization on a busy machine gets more than
+/// the two seconds that it needs.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A picture that takes minutes.
@@ -13,7 +14,8 @@ const SLOW: &str =
     r#"Render(name: "slow", render: (shading: PathTraced(spp: 65536), samples_per_pixel: 64)), "#;
 const REST: &str = "Save(), Export(), ";
 
-/// Sends a signal to a run whose pass is at work, and expects that it ends in time, with this exit code and these states of passes.
+/// Sends a signal to a run whose pass is at work, and expects that it ends in time, with this exit
+/// code and these states of passes.
 #[track_caller]
 fn stopped(data: &Data, scene: &str, pass: &str, signal: (&str, i32), states: &[&str]) {
     let at_work = AtWork::start(data, scene, &[], pass);

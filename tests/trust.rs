@@ -1,4 +1,5 @@
-//! Late failures come first or lose nothing, nonsense is told of, and what a run reads is neither changed nor written over.
+//! Late failures come first or lose nothing, nonsense is told of, and what a run reads is neither
+//! changed nor written over.
 
 use crate::common::*;
 use lobelia::pass::progress::Silent;
@@ -126,7 +127,8 @@ fn a_run_that_was_killed_at_its_very_end_is_tidy_once_it_is_resumed() {
     assert!(report == data.bytes("out/report.html"));
 }
 
-/// Writes `true/mesh.gltf`, a triangle, and its buffer of 36 bytes, which the first names by this address.
+/// Writes `true/mesh.gltf`, a triangle, and its buffer of 36 bytes, which the first names by this
+/// address.
 fn write_triangle(data: &Data, address: &str) {
     let document = json!({
         "asset": {"version": "2.0"},

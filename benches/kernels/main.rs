@@ -1,8 +1,9 @@
 //! Kernels against a plain scalar loop over a `Vec` of the same formulas, on one thread.
 //!
-//! `hot` works on the same points again and again; `cold` on points whose memory was last touched [`POOL_POINTS`]
-//! points ago, which is more than caches hold. Times are for [`POINTS`] points × [`LOBES`] lobes (or [`exp::VALUES`]
-//! values); for nanoseconds per pair over many sizes see `lobelia bench`.
+//! `hot` works on the same points again and again; `cold` on points whose memory was last touched
+//! [`POOL_POINTS`] points ago, which is more than caches hold. Times are for [`POINTS`] points ×
+//! [`LOBES`] lobes (or [`exp::VALUES`] values); for nanoseconds per pair over many sizes see
+//! `lobelia bench`.
 
 // Criterion makes public functions.
 #![allow(missing_docs)]

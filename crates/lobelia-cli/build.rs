@@ -1,5 +1,5 @@
-//! Tells the command its version, with the commit it is built from: `0.1.0 (abcdef123 2026-11-21)`. Without git, or apart from
-//! this repository (in a package, say), it is the version alone.
+//! Tells the command its version, with the commit it is built from: `0.1.0 (abcdef123 2026-11-21)`.
+//! Without git, or apart from this repository (in a package, say), it is the version alone.
 
 use std::{path::Path, process::Command};
 

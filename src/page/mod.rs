@@ -1,8 +1,10 @@
-//! The page that shows the object in a browser: one HTML file that holds everything, and asks no server for anything.
+//! The page that shows the object in a browser: one HTML file that holds everything, and asks no
+//! server for anything.
 //!
-//! `assets/` has the page itself: HTML, style, script and shaders, as they are served; `pack` the arrays of numbers. The page shades every
-//! pixel by the closed forms of [`accurate`](lobelia_sg::accurate), ported to GLSL, with all lobes, all base materials, and shadows and
-//! reflected light found as [`visibility`](lobelia_solve::visibility) finds them.
+//! `assets/` has the page itself: HTML, style, script and shaders, as they are served; `pack` the
+//! arrays of numbers. The page shades every pixel by the closed forms of
+//! [`accurate`](lobelia_sg::accurate), ported to GLSL, with all lobes, all base materials, and
+//! shadows and reflected light found as [`visibility`](lobelia_solve::visibility) finds them.
 
 mod pack;
 
@@ -80,7 +82,8 @@ pub struct PagePhotograph {
     pub window: PixelWindow,
     /// Its size in the page, in pixels.
     pub size: [u32; 2],
-    /// The picture as a `data:` address, sRGB; outside the object it shows the mat of contact sheets.
+    /// The picture as a `data:` address, sRGB; outside the object it shows the mat of contact
+    /// sheets.
     pub address: String,
     /// How much of each pixel is the object, up to 255; none if the view has no mask.
     pub coverage: Option<Vec<u8>>,
@@ -143,7 +146,8 @@ fn describe(contents: &Contents, pack: &mut Pack) -> Result<Value> {
         pack.bytes("along", &albedo_bytes(contents, |i| material.albedo[i].0 + material.sheen[i].0));
     }
     if has_tilt(&material.tilt) {
-        // Each component as 128 and 4 times a number from −31 to 31, because fewer values are packed into less, and 255.
+        // Each component as 128 and 4 times a number from −31 to 31, because fewer values are
+        // packed into less, and 255.
         let byte = |t: f32| (128.0 + 4.0 * (31.0 * t.clamp(-1.0, 1.0)).round()) as u8;
         let tilts = material.tilt.iter().flat_map(|tilt| {
             let [x, y, z] = tilt.0.to_array().map(byte);
@@ -225,8 +229,8 @@ const AGREED: f32 = 0.3;
 /// Cosine from which a direction is taken for an axis: 20°.
 const NEAR_AXIS: f32 = 0.94;
 
-/// The direction that is up in most photographs, or that of the scene if they do not agree: data sets have their own axes. It is an axis of
-/// the world if one is near.
+/// The direction that is up in most photographs, or that of the scene if they do not agree: data
+/// sets have their own axes. It is an axis of the world if one is near.
 pub fn upright(cameras: &[PageCamera], scene_up: Vec3) -> Vec3 {
     let up = |camera: &PageCamera| Vec3::from(-camera.camera.world_from_camera.matrix3.y_axis);
     let mean = cameras.iter().map(up).sum::<Vec3>() / cameras.len().max(1) as f32;

@@ -1,13 +1,16 @@
-//! Arrays of numbers in one compressed block of text, with a table of what is where. The mesh is among them in 16-bit numbers: positions in
-//! its box, normals as octahedral coordinates, texture coordinates in their range; and the data for shadows and reflected light under any
-//! light on the page, as in [`visibility`](lobelia_solve::visibility).
+//! Arrays of numbers in one compressed block of text, with a table of what is where. The mesh is
+//! among them in 16-bit numbers: positions in its box, normals as octahedral coordinates, texture
+//! coordinates in their range; and the data for shadows and reflected light under any light on the
+//! page, as in [`visibility`](lobelia_solve::visibility).
 //!
-//! Each array may be kept as differences from the element `delta` places before, and its bytes are sorted by significance; both
-//! make the block smaller under deflate, and `data.js` undoes them. Numbers are little-endian.
+//! Each array may be kept as differences from the element `delta` places before, and its bytes are
+//! sorted by significance; both make the block smaller under deflate, and `data.js` undoes them.
+//! Numbers are little-endian.
 //!
-//! The hidden directions are kept for every texel, one picture of bits per direction: neighboring texels are alike, and a picture of them
-//! is small once deflated. The patch that hides a direction is kept for patches of the surface, of which there are at most `MOST_PATCHES`:
-//! cells of a grid in space, divided by the side that the surface faces.
+//! The hidden directions are kept for every texel, one picture of bits per direction: neighboring
+//! texels are alike, and a picture of them is small once deflated. The patch that hides a direction
+//! is kept for patches of the surface, of which there are at most `MOST_PATCHES`: cells of a grid
+//! in space, divided by the side that the surface faces.
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use flate2::{Compression, write::DeflateEncoder};
@@ -175,7 +178,8 @@ pub(super) fn pack_visibility(
     Ok(json!({ "directions": directions, "bounces": settings.bounces, "patches": patches }))
 }
 
-/// One picture of bits per direction: bit `t % 8` of byte `t / 8` is set if the direction is hidden from texel `t`.
+/// One picture of bits per direction: bit `t % 8` of byte `t / 8` is set if the direction is hidden
+/// from texel `t`.
 fn hidden_bits(texels: &TexelVisibility) -> Vec<u8> {
     let plane = texels.rows.len().div_ceil(8);
     let mut bits = vec![0; plane * texels.directions.len()];
@@ -215,7 +219,8 @@ fn side(normal: Vec3) -> usize {
     2 * axis + usize::from(normal[axis] < 0.0)
 }
 
-/// For each patch and direction: the patch that hides it, and above its 12 bits the part of the texels for which it is hidden.
+/// For each patch and direction: the patch that hides it, and above its 12 bits the part of the
+/// texels for which it is hidden.
 fn hiders(texels: &TexelVisibility, patches: usize, of_texel: &[u16]) -> Vec<u16> {
     let directions = texels.directions.len();
     let mut found = vec![NONE; patches * directions];

@@ -1,9 +1,11 @@
-//! The `Evaluate` pass: scores earlier passes against ground truth, in linear light, with masks eroded by one pixel; and against
-//! photographs and other pictures of encoded colors also as the field's tables do, in sRGB.
+//! The `Evaluate` pass: scores earlier passes against ground truth, in linear light, with masks
+//! eroded by one pixel; and against photographs and other pictures of encoded colors also as the
+//! field's tables do, in sRGB.
 //!
-//! The pass writes a contact sheet of a few views, and for the report small pictures of all views: `<scored pass>/<view>_truth.jpg`, `_render.jpg` and
-//! `_error.jpg`. Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files; files of ground truth
-//! are named and read as the second half says.
+//! The pass writes a contact sheet of a few views, and for the report small pictures of all views:
+//! `<scored pass>/<view>_truth.jpg`, `_render.jpg` and `_error.jpg`. Predictions are read from the
+//! EXR files that the passes wrote, so that the scores apply to the written files; files of ground
+//! truth are named and read as the second half says.
 
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::{run::session::Session, view_report, view_report::outlier_share};
@@ -36,7 +38,8 @@ struct ScoredView {
     mask_iou: Option<f64>,
 }
 
-/// A pass that is scored. Its views are read one at a time, with the layers that are needed: one takes 45 bytes a pixel, and 12 more a layer.
+/// A pass that is scored. Its views are read one at a time, with the layers that are needed: one
+/// takes 45 bytes a pixel, and 12 more a layer.
 struct ScoredPass {
     name: String,
     views: Vec<ChosenView>,
@@ -70,8 +73,9 @@ pub(crate) fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     Ok(())
 }
 
-/// Scores the pass that `pass.scores[i]` names, and writes pictures of its views with sides of at most `side` pixels. Returns its row of
-/// the contact sheet. The first one also has a report of its views, and its layers are scored.
+/// Scores the pass that `pass.scores[i]` names, and writes pictures of its views with sides of at
+/// most `side` pixels. Returns its row of the contact sheet. The first one also has a report of its
+/// views, and its layers are scored.
 fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -> Result<SheetRow> {
     let score = &pass.scores[i];
     let (scaling, layers): (_, &[Layer]) = match score.scale {
@@ -144,8 +148,8 @@ impl ScoredPass {
         let frame = read_frame_layers(path, layers)?;
         let place = || format!("{}, view {}", self.name, view.stem);
         let world = &session.pipeline.world;
-        // True radiance, the coverage of a picture of encoded colors that has some, and whether it is one,
-        // as those of the field's tables are: any but floats.
+        // True radiance, the coverage of a picture of encoded colors that has some, and whether it
+        // is one, as those of the field's tables are: any but floats.
         let (truth, covered, in_srgb) = match &self.truths {
             TrueImages::Photographs => {
                 let found = world.get::<Photograph>(view.entity).map(|photograph| photograph.image().pixels);
@@ -238,8 +242,9 @@ fn layer_pixels(
     Ok(LayerPixels { counts: vec![true; prediction.len()], truth: counted(&truth), prediction })
 }
 
-/// Writes small pictures of all views: ground truth, prediction as it is scored, error. Returns a row of a few views for the contact sheet
-/// (prediction, ground truth, error) and the share of outliers of each view, of the prediction as it is scored.
+/// Writes small pictures of all views: ground truth, prediction as it is scored, error. Returns a
+/// row of a few views for the contact sheet (prediction, ground truth, error) and the share of
+/// outliers of each view, of the prediction as it is scored.
 fn show_views(
     session: &Session,
     scored: &ScoredPass,
@@ -277,8 +282,8 @@ fn show_views(
     Ok((SheetRow { heading: format!("{}: {}", scored.name, scores.summary()), cells }, outliers))
 }
 
-/// Lengths between which a normal of a PNG is known. Its components are rounded and averaged over a pixel, and one that is black
-/// may be negative.
+/// Lengths between which a normal of a PNG is known. Its components are rounded and averaged over a
+/// pixel, and one that is black may be negative.
 const KNOWN_LENGTHS: RangeInclusive<f32> = 0.9..=1.1;
 
 impl TruthFiles<'_> {
@@ -292,7 +297,8 @@ impl TruthFiles<'_> {
         found.unwrap_or_else(|| of_kind("exr"))
     }
 
-    /// The files that are there, whatever views there are: all in the folder, or those whose paths are of the given form.
+    /// The files that are there, whatever views there are: all in the folder, or those whose paths
+    /// are of the given form.
     pub(crate) fn found(&self) -> Vec<PathBuf> {
         let form = self.file.unwrap_or(VIEW);
         let parts = Path::new(form).components().filter_map(|part| part.as_os_str().to_str());
@@ -336,8 +342,8 @@ fn matching(folder: &Path, part: &str) -> Vec<PathBuf> {
     named.map(|entry| entry.path()).collect()
 }
 
-/// True albedo or normals as they are usually called: `albedo_003.exr` for the view `003`, `r_003` or
-/// `test_003`. Normals are also read from `r_003_normal.png`, if there is no such EXR.
+/// True albedo or normals as they are usually called: `albedo_003.exr` for the view `003`, `r_003`
+/// or `test_003`. Normals are also read from `r_003_normal.png`, if there is no such EXR.
 fn read_usual_layer(folder: &Path, layer: Layer, view: &str, camera: &Camera) -> Result<Vec<Vec3>> {
     let number = view.rsplit('_').next().unwrap_or(view);
     let name = if layer == Layer::Normal { "normal" } else { "albedo" };
@@ -357,14 +363,16 @@ fn read_usual_layer(folder: &Path, layer: Layer, view: &str, camera: &Camera) ->
     Ok(fitting.into_iter().map(|normal| known_normal(normal, 0.0)).collect())
 }
 
-/// The normal of a decoded pixel of a PNG: known, and then made a unit vector, if all components are above `least` (of a picture of max(0, n) one that is 0
-/// may be any) and its length is nearly 1; else zero.
+/// The normal of a decoded pixel of a PNG: known, and then made a unit vector, if all components
+/// are above `least` (of a picture of max(0, n) one that is 0 may be any) and its length is nearly
+/// 1; else zero.
 fn known_normal(decoded: Vec3, least: f32) -> Vec3 {
     let known = decoded.min_element() > least && KNOWN_LENGTHS.contains(&decoded.length());
     if known { decoded.normalize() } else { Vec3::ZERO }
 }
 
-/// The pixels of the ground-truth image of a view. If views are downscaled on reading, so is their ground truth.
+/// The pixels of the ground-truth image of a view. If views are downscaled on reading, so is their
+/// ground truth.
 ///
 /// # Errors
 /// [`Error::Input`] if the image cannot be read or its size does not match the view.
@@ -372,7 +380,8 @@ pub(crate) fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result
     read_covered(path, gamma, camera).map(|(pixels, _)| pixels)
 }
 
-/// Returns the pixels of [`read_fitting`], weighted by coverage, and the coverage if the image has alpha.
+/// Returns the pixels of [`read_fitting`], weighted by coverage, and the coverage if the image has
+/// alpha.
 fn read_covered(path: &Path, gamma: Gamma, camera: &Camera) -> Result<(Vec<Vec3>, Option<Vec<f32>>)> {
     let loaded = read_image(path, gamma, Orientation::Upright)?;
     let (width, height) = (loaded.image.width, loaded.image.height);

@@ -1,4 +1,5 @@
-//! The `Export` pass: the object as a mesh for other programs, with fewer triangles if asked, and the light beside it as environment maps.
+//! The `Export` pass: the object as a mesh for other programs, with fewer triangles if asked, and
+//! the light beside it as environment maps.
 
 use crate::scene::{ExportPass, ExportScale, ExportUp, Light, MeshFormat, Pass};
 use crate::{pass::run::session::Session, pass::show::material_of, report::tone::srgb8};
@@ -94,7 +95,8 @@ fn gltf(object: &Object) -> Result<GltfMaterial> {
         let material = GltfMaterial::of_dielectric(dielectric, *roughness);
         return Ok(GltfMaterial { base_color_image, normal_image, ..material });
     }
-    // The factors of the reflectance texture, whose values are at most one: colors as sRGB, and linear numbers as alpha.
+    // The factors of the reflectance texture, whose values are at most one: colors as sRGB, and
+    // linear numbers as alpha.
     let ratio = |d: &Dielectric| if d.f90 > 0.0 { d.f0 / d.f90 } else { Vec3::ZERO };
     let strongest = dielectrics.iter().map(ratio).fold(Vec3::ZERO, Vec3::max);
     let f90 = dielectrics.iter().map(|d| d.f90).fold(0.0, f32::max);
@@ -133,8 +135,9 @@ fn usd(object: &Object) -> Result<UsdMaterial> {
     })
 }
 
-/// The mesh in which a point p of data in which `data_up` is up is at `scale` · (`turn` p − `origin`); the turn, which is that of the light
-/// as well; and the axis that is up then, or the nearest of the two that files can name.
+/// The mesh in which a point p of data in which `data_up` is up is at `scale` · (`turn` p −
+/// `origin`); the turn, which is that of the light as well; and the axis that is up then, or the
+/// nearest of the two that files can name.
 fn transformed(data_up: Vec3, pass: &ExportPass, mesh: &Mesh) -> (Mesh, Quat, UpAxis) {
     let data_up = data_up.normalize_or(Vec3::Y);
     let (turn, up) = match pass.up {
@@ -220,7 +223,8 @@ const MAPS: [(&str, MapConvention); 2] =
 /// Width of the maps in texels, twice their height.
 const WIDTH: u32 = 1024;
 
-/// The light that the pass shows, turned as the object, as a map: the given one, or the lobes' radiance; `None` if there is none yet.
+/// The light that the pass shows, turned as the object, as a map: the given one, or the lobes'
+/// radiance; `None` if there is none yet.
 fn environment(session: &mut Session, pass: &ExportPass, turn: Quat) -> Option<EnvironmentMap> {
     let of_pass = session.pass_lights.get(pass.of.as_deref().unwrap_or_default());
     if let Some(light) = of_pass {
@@ -241,7 +245,8 @@ fn environment(session: &mut Session, pass: &ExportPass, turn: Quat) -> Option<E
     }
 }
 
-/// The rotation of the own light into the world. One that goes with the camera stands as the first view has it.
+/// The rotation of the own light into the world. One that goes with the camera stands as the first
+/// view has it.
 fn own_turn(session: &mut Session) -> Quat {
     let world = &mut session.pipeline.world;
     let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
@@ -287,7 +292,8 @@ struct Object {
     lobes: Vec<(usize, SpecularLobe)>,
     /// Their weights at each texel; `None` if there is one lobe with weight one everywhere.
     blends: Option<Vec<SpecularBlend>>,
-    /// The normals of the full surface relative to this one's ([`tangents`](lobelia_geometry::mesh::tangents)), for an object with fewer triangles.
+    /// The normals of the full surface relative to this one's
+    /// ([`tangents`](lobelia_geometry::mesh::tangents)), for an object with fewer triangles.
     relative_normals: Option<Vec<Vec3>>,
 }
 
@@ -311,7 +317,8 @@ impl Object {
         Self { surface, albedo, lobes, blends, relative_normals: None }
     }
 
-    /// The object with about `target` triangles; normals, albedo and weights are those of the nearest points of the full surface.
+    /// The object with about `target` triangles; normals, albedo and weights are those of the
+    /// nearest points of the full surface.
     fn coarser(&self, target: usize) -> Result<Self> {
         let size = self.surface.atlas().width;
         let nearest = NearestTriangle::new(self.surface.mesh());
@@ -394,7 +401,8 @@ fn byte(value: f32) -> u8 {
     (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }
 
-/// Blend weights as `carried` changes triplets of values, or carries them from one atlas to another.
+/// Blend weights as `carried` changes triplets of values, or carries them from one atlas to
+/// another.
 pub fn carried_blends(of: &[SpecularBlend], carried: &dyn Fn(&[Vec3]) -> Vec<Vec3>) -> Vec<SpecularBlend> {
     let weight = |blend: &SpecularBlend, k: usize| blend.0.get(k).copied().unwrap_or(0.0);
     let triplets: [Vec<Vec3>; WEIGHT_TRIPLETS] = std::array::from_fn(|t| {
@@ -470,10 +478,12 @@ mod tests {
             write_map_hdr(&convention.from_lobelia(map.clone()), &path).unwrap();
             let read = read_map(&path).unwrap();
             for direction in fibonacci_axes(300) {
-                // As the program computes the place of a direction, by the formulas of its own sources.
+                // As the program computes the place of a direction, by the formulas of its own
+                // sources.
                 let d = direction;
                 let (u, v) = match convention {
-                    // Blender's importer turns (x, y, z) to (x, −z, y); there u = ½ − atan2(y, x)/2π, v = ½ − asin(z)/π.
+                    // Blender's importer turns (x, y, z) to (x, −z, y); there u = ½ − atan2(y,
+                    // x)/2π, v = ½ − asin(z)/π.
                     MapConvention::BlenderYUp => {
                         let b = Vec3::new(d.x, -d.z, d.y);
                         (0.5 - b.y.atan2(b.x) / TAU, 0.5 - 2.0 * b.z.asin() / TAU)

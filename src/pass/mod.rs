@@ -11,8 +11,9 @@
 //! | `Export` | `export` | `mesh.glb`, `mesh.usda`, `mesh.usdz` with their textures; the light as `.hdr`; a page |
 //! | `View` | [`view`] | `view.html` |
 //!
-//! Frames show a material, a light and shading, which passes swap in `show`; `photograph` renders the
-//! photographs that a scene makes of its own object. Everything that is of no single pass is in `run`.
+//! Frames show a material, a light and shading, which passes swap in `show`; `photograph` renders
+//! the photographs that a scene makes of its own object. Everything that is of no single pass is in
+//! `run`.
 
 pub(crate) mod evaluate;
 pub(crate) mod export;

@@ -1,4 +1,5 @@
-//! Rendered photographs: the scene's surface with a known material under a known light, path traced. The fit does not use that knowledge.
+//! Rendered photographs: the scene's surface with a known material under a known light, path
+//! traced. The fit does not use that knowledge.
 
 use crate::pass::show::{apply_edits, set_shading, spawn_edits};
 use crate::scene::{CameraRing, CameraSpec, Edit, Pattern, Photographed, RenderSettings, Scene, Shading};
@@ -60,7 +61,8 @@ impl TrueObject {
         })
     }
 
-    /// Path-traced pictures of the true object, optionally under another light or with edits. In its own light it lies as in the placement of each.
+    /// Path-traced pictures of the true object, optionally under another light or with edits. In
+    /// its own light it lies as in the placement of each.
     pub fn pictures(
         &mut self,
         views: &[(Camera, Placement)],
@@ -121,7 +123,8 @@ fn name_of(light: usize) -> String {
     format!("{TRUTH} {light}")
 }
 
-/// The views of [`TrueObject::take`] with photographs that are not rendered, for checks that look at no pixel.
+/// The views of [`TrueObject::take`] with photographs that are not rendered, for checks that look
+/// at no pixel.
 pub(crate) fn imagine(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewRecord>> {
     // The placements in turn.
     let rounds = spec.truth.rounds() as u32;
@@ -133,7 +136,8 @@ pub(crate) fn imagine(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewReco
     ring(&spec.cameras, scene.up).into_iter().zip((0..).map(|i| Placement(i % rounds))).map(view).collect()
 }
 
-/// Cameras distributed over a sphere around the target; every n-th is a test view, so that test views lie between the others.
+/// Cameras distributed over a sphere around the target; every n-th is a test view, so that test
+/// views lie between the others.
 pub fn ring(spec: &CameraRing, up: Vec3) -> Vec<CameraSpec> {
     let total = (spec.count + spec.test) as usize;
     let every = total / (spec.test as usize).max(1);

@@ -1,5 +1,5 @@
-//! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that `show` swaps
-//! in, as views and as films, in which camera, light and material change.
+//! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that
+//! `show` swaps in, as views and as films, in which camera, light and material change.
 
 use crate::pass::run::{progress::Bar, session::Session};
 use crate::pass::show::{camera_rays, chosen_light, show, show_placement};
@@ -77,7 +77,8 @@ pub(crate) fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings)
     Ok(())
 }
 
-/// Renders the frames of a film; a thread writes each as a PNG file while the next one is rendered. Returns the files.
+/// Renders the frames of a film; a thread writes each as a PNG file while the next one is rendered.
+/// Returns the files.
 fn render_film(
     session: &mut Session,
     pass: &Pass,
@@ -122,7 +123,8 @@ fn render_film(
 /// A view that a pass renders.
 #[derive(Clone, Debug)]
 pub(crate) struct ChosenView {
-    /// Stem of its output files: the name of the view, prefixed by its split if both splits have a view with that name.
+    /// Stem of its output files: the name of the view, prefixed by its split if both splits have a
+    /// view with that name.
     pub stem: String,
     pub name: String,
     pub entity: Entity,
@@ -141,7 +143,8 @@ pub(crate) fn chosen_views(world: &mut World, settings: &RenderSettings) -> Vec<
     chosen.collect()
 }
 
-/// Which of these views are chosen, with the stems of their files, by these. The one place that makes names of files of names of views.
+/// Which of these views are chosen, with the stems of their files, by these. The one place that
+/// makes names of files of names of views.
 pub fn chosen_stems(views: &[(&str, Split)], settings: &RenderSettings) -> Vec<(usize, String)> {
     let is_wanted = |(name, split): (&str, Split)| match &settings.views {
         ViewChoice::Test => split == Split::Test,
@@ -194,7 +197,8 @@ fn look_of(settings: &RenderSettings) -> Look {
     Look { exposure: settings.exposure, tone: settings.tone }
 }
 
-/// The 8-bit colors of rows of a picture, before the light if the pass shows it, or else before `plain`.
+/// The 8-bit colors of rows of a picture, before the light if the pass shows it, or else before
+/// `plain`.
 fn encoded(
     world: &World,
     camera: &Camera,
@@ -217,7 +221,8 @@ fn encoded(
     rows.samples8(&look_of(settings), behind.as_deref().map_or(plain, Backdrop::Radiance))
 }
 
-/// Renders a picture; `take` gets each band and its 8-bit colors before the light, if the pass shows it, or else before `plain`.
+/// Renders a picture; `take` gets each band and its 8-bit colors before the light, if the pass
+/// shows it, or else before `plain`.
 fn bands(
     pipeline: &mut Pipeline,
     camera: Camera,
@@ -240,7 +245,8 @@ pub(crate) const FILM_FILES: [&str; 3] = ["orbit.mp4", "orbit.gif", "orbit_frame
 struct Time {
     /// From 0 at the first frame to 1 at the last.
     done: f32,
-    /// From 0 at the first frame to 1 one frame after the last: what turns evenly goes on without a break.
+    /// From 0 at the first frame to 1 one frame after the last: what turns evenly goes on without a
+    /// break.
     turned: f32,
 }
 
@@ -255,7 +261,8 @@ impl Time {
 fn cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
     let (center, size) = session.surface.bounding_sphere();
     let [width, height] = orbit.sides();
-    // A tenth more than the smallest distance at which the object fits, also into a picture that is higher than wide.
+    // A tenth more than the smallest distance at which the object fits, also into a picture that is
+    // higher than wide.
     let half_fov = (orbit.fov_degrees.to_radians() / 2.0).tan() * (width as f32 / height as f32).min(1.0);
     let fitting = 1.1 * size / half_fov.atan().sin();
     let base = camera::CameraOrbit {
@@ -303,8 +310,8 @@ fn between_keys(keys: &[OrbitKey], pick: impl Fn(&OrbitKey) -> Option<f32>, time
 #[derive(Component)]
 struct Swept;
 
-/// Replaces the swept edits by `factors`, after all other edits of the pass; without any the sweep ends. Each has its own target, so that they
-/// need no order.
+/// Replaces the swept edits by `factors`, after all other edits of the pass; without any the sweep
+/// ends. Each has its own target, so that they need no order.
 fn sweep_material(world: &mut World, pass: &str, factors: Vec<(EditTarget, EditAction)>) {
     let mut query = world.query_filtered::<Entity, With<Swept>>();
     let old: Vec<Entity> = query.iter(world).collect();

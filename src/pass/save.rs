@@ -25,8 +25,9 @@ use std::path::{Path, PathBuf};
 /// Channels of colors.
 pub(crate) const RGB: [&str; 3] = ["R", "G", "B"];
 
-/// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object with the recovered material and light, or those of the pass `of`,
-/// all fixed, with the scene's views (without the optimized poses of training views).
+/// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object with the recovered
+/// material and light, or those of the pass `of`, all fixed, with the scene's views (without the
+/// optimized poses of training views).
 pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     let folder = session.out.join(&pass.name);
     let material = material_of(session, pass.of.as_deref())?;
@@ -49,8 +50,8 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     let light = save_source(given, &lobes, &folder.join("light"))?;
     let own = session.pipeline.world.get_resource::<OwnLightFrame>().filter(|_| !relit);
     let frame = own.map(|own| own.0).unwrap_or_default();
-    // With absolute paths; rendered photographs become cameras only, of the object in its first placement. An object that is relit lies
-    // in its new light the same in all.
+    // With absolute paths; rendered photographs become cameras only, of the object in its first
+    // placement. An object that is relit lies in its new light the same in all.
     let views = match &session.scene.views {
         Views::Dataset(spec) => {
             let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
@@ -81,8 +82,9 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     Ok(())
 }
 
-/// Writes the textures of a material into a folder; returns it as in a scene file there, all fixed. The material may be the
-/// [recovered](lobelia_world::material::shown::recovered_material) or the [shown](lobelia_solve::shade::frame::frame_material) one.
+/// Writes the textures of a material into a folder; returns it as in a scene file there, all fixed.
+/// The material may be the [recovered](lobelia_world::material::shown::recovered_material) or the
+/// [shown](lobelia_solve::shade::frame::frame_material) one.
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -137,7 +139,8 @@ pub(crate) fn vector_channels(names: [&str; 3], values: &[Vec3]) -> [(String, Ve
     [0, 1, 2].map(|axis| (names[axis].to_owned(), values.iter().map(|v| v[axis]).collect()))
 }
 
-/// The channels of the blend weights of the base materials with these numbers for [`read_weights`](lobelia_io::codec::texture::read_weights).
+/// The channels of the blend weights of the base materials with these numbers for
+/// [`read_weights`](lobelia_io::codec::texture::read_weights).
 pub(crate) fn weight_channels(
     blends: &[SpecularBlend],
     numbers: impl IntoIterator<Item = usize>,
@@ -146,8 +149,8 @@ pub(crate) fn weight_channels(
     numbers.into_iter().enumerate().map(move |(place, k)| (format!("weight{place}"), weights(k)))
 }
 
-/// Writes a light to a file with this stem: the map that it is given by, unchanged, so that path tracing with it gives the same
-/// result, or else its lobes. Returns it with the name of that file.
+/// Writes a light to a file with this stem: the map that it is given by, unchanged, so that path
+/// tracing with it gives the same result, or else its lobes. Returns it with the name of that file.
 fn save_source(given: Option<LightSource>, lobes: &[LightLobe], stem: &Path) -> Result<LightSource> {
     let given = match given {
         Some(LightSource::Ron { path, scale, rotation_degrees: turn }) => Some(inlined(&path, scale, turn)?),

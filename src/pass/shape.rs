@@ -1,4 +1,5 @@
-//! The `Shape` pass: recovers an unknown surface from photographs and masks, and replaces the visual hull by it.
+//! The `Shape` pass: recovers an unknown surface from photographs and masks, and replaces the
+//! visual hull by it.
 
 use crate::pass::{fit::steps::closed_form, fit::write_views, run::session::Session};
 use crate::scene::{GridLevel, ShapePass, Surface as SurfaceSpec};
@@ -29,7 +30,8 @@ use tracing::info_span;
 
 /// Steps between two redistancings.
 const REDISTANCE_EVERY: u32 = 40;
-/// Part of the surface that follows stereo from which on a fit does not move vertices: photographs that agree place them better than shading.
+/// Part of the surface that follows stereo from which on a fit does not move vertices: photographs
+/// that agree place them better than shading.
 const STEREO_HOLDS: f32 = 0.3;
 
 /// Most texels a side that a texture is made wider to.
@@ -54,7 +56,8 @@ pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     session.report_light_frame(name);
     session.report_placements(name);
 
-    // What was found takes the place of the hull, even if the run is stopped; then it is refined no more.
+    // What was found takes the place of the hull, even if the run is stopped; then it is refined no
+    // more.
     let initialized = std::mem::replace(&mut session.kept.initialize, Initialize::NONE);
     (session.kept.normals_found, session.kept.by_stereo) = (false, false);
     check_parameters(&mut session.pipeline.world)?;
@@ -101,8 +104,8 @@ pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     if stopped { Err(Error::Interrupted) } else { Ok(()) }
 }
 
-/// Fits the shape, with a bar and a look at it now and then. Returns the surface that was found, and
-/// whether the run was stopped before the end.
+/// Fits the shape, with a bar and a look at it now and then. Returns the surface that was found,
+/// and whether the run was stopped before the end.
 fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
     let level = |level: &GridLevel| ShapeLevel {
         cells: level.cells,
@@ -133,7 +136,8 @@ fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
             pixels: PixelChoice { seed: session.scene.seed, max_pixels, evenly: false },
             initialize: session.kept.initialize,
             exposure: pass.exposure,
-            // Without shadows, which would have to be traced at every step, dark regions would bias the color of the highlights.
+            // Without shadows, which would have to be traced at every step, dark regions would bias
+            // the color of the highlights.
             scale: ScaleRule::Free,
             light_frame: session.scene.light_frame.frame(&session.scene.light),
             ..FitOptions::default()
@@ -177,7 +181,8 @@ fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
     Ok((surface, stopped))
 }
 
-/// Says how much was removed from the hull since it was `told`, where that can be seen; then all of it is `told`.
+/// Says how much was removed from the hull since it was `told`, where that can be seen; then all of
+/// it is `told`.
 fn tell_of_hull(progress: &dyn Progress, name: &str, told: &mut HullReport, now: HullReport) {
     let before = std::mem::replace(told, now);
     if before == now {
@@ -198,7 +203,8 @@ fn tell_of_hull(progress: &dyn Progress, name: &str, told: &mut HullReport, now:
     }
 }
 
-/// Does a part of the work on what was found, with a bar of so many rounds until the run is stopped. Also returns its seconds.
+/// Does a part of the work on what was found, with a bar of so many rounds until the run is
+/// stopped. Also returns its seconds.
 fn refined<T>(
     session: &mut Session,
     name: &str,
@@ -219,7 +225,8 @@ fn refined<T>(
     (done, start.elapsed().as_secs_f64())
 }
 
-/// Moves the mesh to where neighboring photographs agree; says what came of it and returns whether vertices then stay there.
+/// Moves the mesh to where neighboring photographs agree; says what came of it and returns whether
+/// vertices then stay there.
 fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
     let (report, seconds) = refined(session, name, "stereo", stereo_rounds(), |world, round| {
         refine_by_stereo(world, mesh, round)
@@ -238,7 +245,8 @@ fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
     holds
 }
 
-/// Gives the vertices the normals that explain what they mirror, if that is worth it; says what came of it and returns whether it was.
+/// Gives the vertices the normals that explain what they mirror, if that is worth it; says what
+/// came of it and returns whether it was.
 fn match_reflections(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
     let (report, seconds) = refined(session, name, "normals", mirror_rounds(), |world, round| {
         refine_by_mirror(world, mesh, round)
@@ -259,8 +267,8 @@ fn match_reflections(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool
     is_used
 }
 
-/// Gives a mesh texture coordinates for `texture_size` texels a side, or for more if its charts do not fit:
-/// what was found is not lost for that.
+/// Gives a mesh texture coordinates for `texture_size` texels a side, or for more if its charts do
+/// not fit: what was found is not lost for that.
 fn unwrap_by(texture_size: u32, mut unwrap: impl FnMut(u32) -> Result<Mesh>) -> Result<(Mesh, u32)> {
     let mut size = texture_size;
     loop {

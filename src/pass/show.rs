@@ -1,5 +1,5 @@
-//! The material, light and shading of frames. Each is one system in a slot of the Frame phase, and a pass
-//! swaps them; the recovered material and the scene's own light do not change.
+//! The material, light and shading of frames. Each is one system in a slot of the Frame phase, and
+//! a pass swaps them; the recovered material and the scene's own light do not change.
 
 use crate::pass::run::session::Session;
 use crate::scene::{ColorAction, Edit, Light, Pass, Region, RenderSettings, ScalarAction, Shading};
@@ -29,7 +29,8 @@ pub(crate) fn show(session: &mut Session, pass: &Pass, settings: &RenderSettings
     session.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
     set_shading(&mut session.pipeline, settings, session.scene.seed);
     session.pipeline.remove_plugin::<FrameVisibilityPlugin>();
-    // The published formulas are for comparison and include neither shadows nor interreflection; path tracing includes both itself.
+    // The published formulas are for comparison and include neither shadows nor interreflection;
+    // path tracing includes both itself.
     if settings.shading == Shading::Accurate && session.has_visibility()? {
         session.pipeline.add_plugin(&FrameVisibilityPlugin);
     }
@@ -178,7 +179,8 @@ fn region_weights(region: &Region, atlas: &TexelAtlas) -> Result<Option<Vec<f32>
     })
 }
 
-/// Distance of a point from the line through others, straight from each to the next; infinite if there are none.
+/// Distance of a point from the line through others, straight from each to the next; infinite if
+/// there are none.
 fn distance_to_line(from: Vec3, points: &[Vec3]) -> f32 {
     let to_segment = |ends: &[Vec3]| {
         let (offset, along) = (from - ends[0], ends[1] - ends[0]);
@@ -190,7 +192,8 @@ fn distance_to_line(from: Vec3, points: &[Vec3]) -> f32 {
     points.windows(2).map(to_segment).fold(first, f32::min)
 }
 
-/// The weight at a depth inside the boundary of the region: 0 outside, 1 from `falloff` on, smooth between.
+/// The weight at a depth inside the boundary of the region: 0 outside, 1 from `falloff` on, smooth
+/// between.
 fn weight_at(depth: f32, falloff: f32) -> f32 {
     if depth < 0.0 {
         return 0.0;

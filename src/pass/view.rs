@@ -1,4 +1,5 @@
-//! The `View` pass: a page that shows the object in a browser, with small photographs, of which only the part that shows the object.
+//! The `View` pass: a page that shows the object in a browser, with small photographs, of which
+//! only the part that shows the object.
 
 use crate::page::{Contents, PageCamera, PageLight, PagePhotograph, html, upright};
 use crate::pass::run::session::Session;
@@ -88,7 +89,8 @@ const MOST_BYTES: usize = 3_000_000;
 /// Part of the longer side of the object's window that is added around it.
 const MARGIN: f32 = 0.04;
 
-/// Adds photographs to at most `max` of the cameras, which are of these views: held-out views first, evenly chosen. Returns to how many.
+/// Adds photographs to at most `max` of the cameras, which are of these views: held-out views
+/// first, evenly chosen. Returns to how many.
 fn add_photographs(world: &World, views: &[Entity], cameras: &mut [PageCamera], max: usize) -> Result<usize> {
     // They can be compared with what the scene's own light shows.
     let is_under_own_light = |view: Entity| {

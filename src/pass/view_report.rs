@@ -20,7 +20,8 @@ pub const VIEWS: &str = "views.csv";
 const SIDE: u32 = 96;
 /// Overlap of mask and surface below which they disagree.
 const DISAGREES: f64 = 0.6;
-/// Share of outliers from which on a view is named, and that of the median view that it must be above.
+/// Share of outliers from which on a view is named, and that of the median view that it must be
+/// above.
 const OUTLIERS: f64 = 0.5;
 /// Radiance of a lobe beyond this, relative to the photographs, is no light that they show.
 const RUNAWAY: f32 = 1e4;
@@ -56,7 +57,8 @@ pub(super) fn warn(session: &mut Session, warning: String) {
     }
 }
 
-/// The views with photographs that are wanted, in the order of their numbers, with their masks beside the surface.
+/// The views with photographs that are wanted, in the order of their numbers, with their masks
+/// beside the surface.
 fn silhouettes(
     session: &mut Session,
     wanted: impl Fn(Entity, Split) -> bool,
@@ -83,8 +85,8 @@ fn silhouettes(
     views.into_par_iter().map(outcome).collect()
 }
 
-/// The surface beside a mask, at few pixels: of the mask's pixels the share that the surface covers, and
-/// their intersection over union; `None` if both are empty.
+/// The surface beside a mask, at few pixels: of the mask's pixels the share that the surface
+/// covers, and their intersection over union; `None` if both are empty.
 fn overlap_of(surface: &Surface, camera: &Camera, mask: &StoredMask) -> Option<[f64; 2]> {
     let factor = camera.width.max(camera.height).div_ceil(SIDE).max(1);
     let (camera, mask) = (camera.scaled(factor), mask.mask().downscaled(factor));
@@ -150,11 +152,12 @@ pub(super) fn outlier_share(view: &EvalView, predicted: &[glam::Vec3]) -> Option
     (counted > 0).then(|| outliers as f64 / counted as f64)
 }
 
-/// PSNR in dB of views of the first score, as it is scored, and the share of outliers of their predictions. By the view: names repeat,
-/// as those of training and test views.
+/// PSNR in dB of views of the first score, as it is scored, and the share of outliers of their
+/// predictions. By the view: names repeat, as those of training and test views.
 type Outcomes = HashMap<Entity, (f64, Option<f64>)>;
 
-/// Adds scored views that no fit has told of, in place of those that an earlier `Evaluate` has told of, and writes the report of all views.
+/// Adds scored views that no fit has told of, in place of those that an earlier `Evaluate` has told
+/// of, and writes the report of all views.
 pub(super) fn write(session: &mut Session, folder: &Path, scored: &Outcomes) -> Result<()> {
     // Those of a fit say how many pixels it may visit.
     session.scores.views.retain(|view| view.pixels.is_some());

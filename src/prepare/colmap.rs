@@ -1,4 +1,5 @@
-//! COLMAP: its arguments, what its output says of progress, and the steps that run it: features, matching, mapping, undistortion.
+//! COLMAP: its arguments, what its output says of progress, and the steps that run it: features,
+//! matching, mapping, undistortion.
 
 use crate::prepare::photographs::{FEWEST, PhotographFile};
 use crate::prepare::work::{Program, Work, make_folder_of, remove, words};
@@ -20,12 +21,14 @@ const EXHAUSTIVE: [&str; 3] = ["exhaustive_matcher", "--ExhaustiveMatching.block
 const SEQUENTIAL: [&str; 3] = ["sequential_matcher", "--SequentialMatching.overlap", "20"];
 /// Photographs and frames of a video up to which all pairs are matched.
 const MOST_EXHAUSTIVE: [usize; 2] = [500, 100];
-/// Largest distance in pixels of a feature from its point, in photographs of [`ERROR_SIDE`] pixels and smaller ones. COLMAP's own 4 lets
-/// through enough mismatches to turn single cameras by a degree.
+/// Largest distance in pixels of a feature from its point, in photographs of [`ERROR_SIDE`] pixels
+/// and smaller ones. COLMAP's own 4 lets through enough mismatches to turn single cameras by a
+/// degree.
 const LEAST_ERROR: f64 = 1.2;
 /// COLMAP's own, which is not exceeded in larger photographs.
 const MOST_ERROR: f64 = 4.0;
-/// Longer side of a photograph whose features are good to [`LEAST_ERROR`]; in larger ones the distance grows with the side.
+/// Longer side of a photograph whose features are good to [`LEAST_ERROR`]; in larger ones the
+/// distance grows with the side.
 const ERROR_SIDE: f64 = 1600.0;
 /// How often points are found anew and cameras adjusted.
 const ROUNDS: u64 = 3;
@@ -39,8 +42,8 @@ const LEAST_LEFT: f64 = 0.4;
 const NO_CAMERAS_HELP: &str = "Neighboring photographs must overlap by 60 % and more and be sharp, and the object needs texture. On a \
                                turntable, give masks and `--features object`; before a plain object, leave that out.";
 
-/// COLMAP as it is installed here: the program, and its options that let features and matches use the graphics card; version 3.12 renamed
-/// their groups.
+/// COLMAP as it is installed here: the program, and its options that let features and matches use
+/// the graphics card; version 3.12 renamed their groups.
 pub(super) fn find(path: &Path) -> Result<(Program, [&'static str; 2])> {
     let program = Program { path: path.to_owned(), install: INSTALL };
     let help = program.help(&["feature_extractor", "-h"])?;
@@ -111,8 +114,8 @@ impl Reconstruction<'_> {
             let problem = format!("COLMAP found the cameras of {} photographs only", names.len());
             return Err(self.no_cameras(&problem));
         }
-        // The center of the image moves like a turn of the camera: only many photographs of one camera with features over the whole
-        // frame tell the two apart.
+        // The center of the image moves like a turn of the camera: only many photographs of one
+        // camera with features over the whole frame tell the two apart.
         let refines = cameras.ends_with("single_camera") && !on_object && names.len() >= FEWEST_FOR_CENTER;
         let model = if refines { work.path("refined") } else { folder.clone() };
         work.step("refinement", &format!("{refines} {}", folder.display()), |work| {
@@ -168,13 +171,15 @@ impl Reconstruction<'_> {
         }
     }
 
-    /// The largest distance of a feature from its point's projection, by the longest side of the photographs.
+    /// The largest distance of a feature from its point's projection, by the longest side of the
+    /// photographs.
     fn largest_error(&self) -> String {
         let side = self.photographs.iter().flat_map(|photograph| photograph.size).max().unwrap_or_default();
         (LEAST_ERROR * f64::from(side) / ERROR_SIDE).clamp(LEAST_ERROR, MOST_ERROR).to_string()
     }
 
-    /// Finds the center of the image too, which a mapper takes for its middle: points are found anew and cameras adjusted, several times.
+    /// Finds the center of the image too, which a mapper takes for its middle: points are found
+    /// anew and cameras adjusted, several times.
     fn refine(&self, work: &Work, model: &Path) -> Result<()> {
         let [refined, points] = [work.emptied("refined")?, work.emptied("points")?];
         let run = |words: &[OsString]| self.program.run(words, &work.log("refinement"), |_| ());
@@ -197,7 +202,8 @@ impl Reconstruction<'_> {
         Ok(())
     }
 
-    /// The data set of a model with its distortion: files under the same names, what links lead to instead of links.
+    /// The data set of a model with its distortion: files under the same names, what links lead to
+    /// instead of links.
     fn copy(&self, work: &Work, model: &Path, names: &BTreeSet<String>) -> Result<()> {
         let data = work.emptied("data")?;
         let copy = |name: &str, from: &Path, to: &str| {
@@ -232,7 +238,8 @@ impl Reconstruction<'_> {
         };
         let data = work.emptied("data")?;
         run("undistortion", &work.path("photographs"), &data)?;
-        // Cameras whose distortion leaves little of a photograph were found by what does not move as the object does.
+        // Cameras whose distortion leaves little of a photograph were found by what does not move
+        // as the object does.
         for photograph in self.photographs.iter().filter(|photograph| names.contains(&photograph.name)) {
             let header = image_header(data.join("images").join(&photograph.name))?;
             let ([width, height], [w, h]) = (photograph.size, [header.width, header.height]);
@@ -273,8 +280,8 @@ fn over_photographs(work: &Work, command: &str, more: &[(&str, &dyn AsRef<OsStr>
     words(command, &[&read[..], more].concat())
 }
 
-/// How many of `whole` steps a line of output says are done: `Processed file [3/66]`, `Matching block [1/2, 2/2]`,
-/// `Registering image #7 (12)`.
+/// How many of `whole` steps a line of output says are done: `Processed file [3/66]`,
+/// `Matching block [1/2, 2/2]`, `Registering image #7 (12)`.
 fn steps_done(line: &str, whole: u64) -> Option<u64> {
     if let Some(at) = line.find("Registering image #") {
         let count = line[at..].split_once('(')?.1.split(')').next()?;

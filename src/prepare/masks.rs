@@ -14,11 +14,14 @@ use std::path::{Path, PathBuf};
 /// Where masks come from.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum MaskSource {
-    /// The photographs' alpha, if all of them have it; else `rembg`, if it is installed; else there are none.
+    /// The photographs' alpha, if all of them have it; else `rembg`, if it is installed; else there
+    /// are none.
     Auto,
-    /// A folder of images, by the names of the photographs: white is the object, or a cutout with alpha.
+    /// A folder of images, by the names of the photographs: white is the object, or a cutout with
+    /// alpha.
     Folder(PathBuf),
-    /// A command per photograph, with `{in}` for the photograph and `{out}` for the mask (`.png`) that it writes.
+    /// A command per photograph, with `{in}` for the photograph and `{out}` for the mask (`.png`)
+    /// that it writes.
     Command(String),
     /// The photographs' alpha.
     Alpha,
@@ -46,7 +49,8 @@ impl MaskSource {
         Err(Error::usage(format!("the mask command `{command}` {problem}"), COMMAND_HELP))
     }
 
-    /// The maker of these photographs' masks, which is not `Auto`, if there are to be any; else a note says how there would be.
+    /// The maker of these photographs' masks, which is not `Auto`, if there are to be any; else a
+    /// note says how there would be.
     pub(super) fn decided(
         options: &PrepareOptions,
         photographs: &[PhotographFile],
@@ -73,7 +77,8 @@ impl MaskSource {
         None
     }
 
-    /// Writes the mask of each photograph as `masks/NAME.png` of `work`, gray, of the photograph's size.
+    /// Writes the mask of each photograph as `masks/NAME.png` of `work`, gray, of the photograph's
+    /// size.
     pub(super) fn write(&self, photographs: &[PhotographFile], work: &Work) -> Result<()> {
         let images = work.path("photographs");
         let bar = work.progress.bar("masks", photographs.len() as u64);
@@ -191,7 +196,8 @@ fn as_stored(mask: GrayImage, photograph: &PhotographFile) -> GrayImage {
     turned.into_luma8()
 }
 
-/// The mask that a command makes of a photograph. Errors are about the photograph: the files that the command sees are of no use to anyone.
+/// The mask that a command makes of a photograph. Errors are about the photograph: the files that
+/// the command sees are of no use to anyone.
 fn by_command(
     command: &str,
     photograph: &PhotographFile,

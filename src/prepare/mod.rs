@@ -1,4 +1,5 @@
-//! From photographs, or a video, to a data set: cameras by COLMAP, masks, and a scene file to begin with.
+//! From photographs, or a video, to a data set: cameras by COLMAP, masks, and a scene file to begin
+//! with.
 
 mod colmap;
 mod masks;
@@ -57,14 +58,16 @@ pub struct PrepareOptions {
     pub out: PathBuf,
     /// Where masks come from.
     pub masks: MaskSource,
-    /// Whether cameras are found by the object alone, where there are masks: it turns before a camera that stands still.
+    /// Whether cameras are found by the object alone, where there are masks: it turns before a
+    /// camera that stands still.
     pub object_features: bool,
     /// Which pairs of photographs are matched.
     pub matching: Matching,
     /// Whether each photograph has a camera (focal length, center and distortion) of its own; else
     /// all of the same size and EXIF focal length share one.
     pub camera_per_image: bool,
-    /// COLMAP's name of the lens model, whose distortion is estimated: `SIMPLE_RADIAL`, `PINHOLE`, `OPENCV_FISHEYE`…
+    /// COLMAP's name of the lens model, whose distortion is estimated: `SIMPLE_RADIAL`, `PINHOLE`,
+    /// `OPENCV_FISHEYE`…
     pub lens: &'static str,
     /// Copy photographs as they are, with cameras that have distortion, instead of removing it.
     pub keep_distortion: bool,
@@ -163,14 +166,16 @@ impl fmt::Display for Prepared {
     }
 }
 
-/// Makes a data set in COLMAP's layout: `images`, `masks`, `sparse/0` and `scene.ron` in `options.out`.
+/// Makes a data set in COLMAP's layout: `images`, `masks`, `sparse/0` and `scene.ron` in
+/// `options.out`.
 ///
-/// The work lies in `.work` there until all of it is done; a run that was stopped goes on where it was. Programs write into `logs`.
+/// The work lies in `.work` there until all of it is done; a run that was stopped goes on where it
+/// was. Programs write into `logs`.
 ///
 /// # Errors
-/// [`Error::Usage`] if an option is out of range, the output folder has other files, or a program is missing; [`Error::Input`] if photographs or
-/// masks cannot be used, or no cameras are found; [`Error::Run`] with the last lines of a program that fails;
-/// [`Error::Interrupted`] after Ctrl-C.
+/// [`Error::Usage`] if an option is out of range, the output folder has other files, or a program
+/// is missing; [`Error::Input`] if photographs or masks cannot be used, or no cameras are found;
+/// [`Error::Run`] with the last lines of a program that fails; [`Error::Interrupted`] after Ctrl-C.
 pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prepared> {
     options.check()?;
     let (program, use_gpu) = colmap::find(&options.colmap)?;

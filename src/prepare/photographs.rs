@@ -1,7 +1,9 @@
-//! The photographs of a folder: which files, what their headers say, and copies of them that no program turns.
+//! The photographs of a folder: which files, what their headers say, and copies of them that no
+//! program turns.
 //!
-//! COLMAP takes pixels as they are stored and ignores EXIF's orientation. So that every other program does the same, a photograph
-//! that EXIF turns is copied with that entry reset; its pixels stay as they are.
+//! COLMAP takes pixels as they are stored and ignores EXIF's orientation. So that every other
+//! program does the same, a photograph that EXIF turns is copied with that entry reset; its pixels
+//! stay as they are.
 
 use crate::{pass::progress::Progress, prepare::work::make_folder_of};
 use image::{ImageDecoder, ImageError, ImageFormat, ImageReader, metadata::Orientation};
@@ -46,8 +48,9 @@ fn damaged(path: &Path) -> impl Fn(ImageError) -> Error + '_ {
     move |error| Error::input(path, "", format!("the photograph cannot be read: {error}"), DAMAGED_HELP)
 }
 
-/// Lists the photographs of a folder, its JPEG and PNG files, in natural order of their names; notes say what is left out. Where their
-/// sizes or focal lengths differ, `name` has a folder for each.
+/// Lists the photographs of a folder, its JPEG and PNG files, in natural order of their names;
+/// notes say what is left out. Where their sizes or focal lengths differ, `name` has a folder for
+/// each.
 pub(super) fn list(folder: &Path, progress: &dyn Progress) -> Result<Vec<PhotographFile>> {
     let (mut files, mut others) = (Vec::new(), BTreeMap::<String, usize>::new());
     for entry in read_folder(folder)? {
@@ -58,7 +61,8 @@ pub(super) fn list(folder: &Path, progress: &dyn Progress) -> Result<Vec<Photogr
         if is_hidden || path.is_dir() {
             continue;
         }
-        // What is called as a photograph and is no file, or may not be read, is refused where it is opened.
+        // What is called as a photograph and is no file, or may not be read, is refused where it is
+        // opened.
         if ["jpg", "jpeg", "png"].contains(&extension.as_str()) {
             files.push(path);
         } else if is_unread_name(&path) || is_known() {
@@ -158,7 +162,8 @@ fn focal_length(chunk: Vec<u8>) -> Option<u32> {
     (hundredths > 0.0 && hundredths < 1e9).then_some(hundredths as u32)
 }
 
-/// Decodes every photograph, some at once: COLMAP would take what is left of one that is cut off for the whole.
+/// Decodes every photograph, some at once: COLMAP would take what is left of one that is cut off
+/// for the whole.
 pub(super) fn check_pixels(photographs: &[PhotographFile], progress: &dyn Progress) -> Result<()> {
     let bar = progress.bar("photographs", photographs.len() as u64);
     // Up to four channels of 8 or 16 bits.
@@ -209,7 +214,8 @@ fn link(from: &Path, to: &Path) -> Result<()> {
     fs::copy(from, to).map(|_| ()).map_err(Error::io("copy", from))
 }
 
-/// A photograph's bytes with EXIF's orientation reset: of a JPEG two bytes change, a PNG is written again without EXIF.
+/// A photograph's bytes with EXIF's orientation reset: of a JPEG two bytes change, a PNG is written
+/// again without EXIF.
 fn unturned(path: &Path) -> Result<Vec<u8>> {
     let mut bytes = read_bytes(path, missing_file_help)?;
     if !bytes.starts_with(&[0xff, 0xd8]) {

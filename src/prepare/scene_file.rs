@@ -1,4 +1,5 @@
-//! A commented scene file for a data set: what is known of it, what a fit has to find, and what may be worth changing.
+//! A commented scene file for a data set: what is known of it, what a fit has to find, and what may
+//! be worth changing.
 
 use glam::Vec3;
 use lobelia_geometry::{Error, Result, view::Split};
@@ -7,15 +8,18 @@ use lobelia_io::dataset::{
 };
 use std::path::{Path, PathBuf};
 
-/// The lines of a scene file, each behind a mark that says where it stands; in braces is what differs.
+/// The lines of a scene file, each behind a mark that says where it stands; in braces is what
+/// differs.
 const TEMPLATE: &str = include_str!("assets/scene.txt");
-/// Longer side of the photographs that a fit needs at most; larger ones are downscaled in a new scene file.
+/// Longer side of the photographs that a fit needs at most; larger ones are downscaled in a new
+/// scene file.
 const ENOUGH_PIXELS: u32 = 1600;
 /// Fewest views of which some are held out.
 const FEWEST_HELD_OUT: usize = 12;
 
-/// The scene file `scene` for the data set in `data`, as text; it loads, and `lobelia check` passes. It follows from the camera files and
-/// from the first photograph with its mask. A path in it starts at `scene` if that is inside `data`, else at `$DATA`.
+/// The scene file `scene` for the data set in `data`, as text; it loads, and `lobelia check`
+/// passes. It follows from the camera files and from the first photograph with its mask. A path in
+/// it starts at `scene` if that is inside `data`, else at `$DATA`.
 ///
 /// # Errors
 /// [`Error::Input`] if the folder is no data set, its first view cannot be read, or it has neither

@@ -1,4 +1,5 @@
-//! The whole of `prepare`, with a script in place of COLMAP; and scripts and photographs for the tests of its parts.
+//! The whole of `prepare`, with a script in place of COLMAP; and scripts and photographs for the
+//! tests of its parts.
 
 use super::*;
 use crate::pass::progress::{RecordedMessages, Silent};
@@ -19,7 +20,8 @@ pub(super) fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
     path
 }
 
-/// An ffmpeg that counts this many frames in a video of so many seconds, and writes the frames that lie beside it as `000001.jpg`….
+/// An ffmpeg that counts this many frames in a video of so many seconds, and writes the frames that
+/// lie beside it as `000001.jpg`….
 pub(super) fn fake_ffmpeg(folder: &Path, frames: u64, seconds: u64) -> PathBuf {
     // The last argument is the pattern of the frames, or nothing that is written.
     let body = format!(
@@ -276,7 +278,8 @@ fn without_masks_there_is_no_scene_file() {
     assert!(capture.path("out/sparse/0/images.bin").is_file());
 }
 
-/// A step that fails leaves nothing under a final name, and what was done before it is not done again, unless options change.
+/// A step that fails leaves nothing under a final name, and what was done before it is not done
+/// again, unless options change.
 #[test]
 fn a_failure_is_explained_and_work_goes_on_after_it() {
     let capture = Capture::new();
@@ -399,7 +402,8 @@ fn bad_input_leaves_no_folder() {
     assert!(!capture.path("out").exists());
 }
 
-/// Cameras that were found by what stands still have a distortion that leaves little of the photographs.
+/// Cameras that were found by what stands still have a distortion that leaves little of the
+/// photographs.
 #[test]
 fn cameras_that_leave_little_of_a_photograph_are_refused() {
     let capture = Capture::new();

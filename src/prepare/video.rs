@@ -1,7 +1,8 @@
 //! Frames of a video, by `ffmpeg`.
 //!
-//! A first pass counts the frames without decoding them, so that a broken or short video is refused before anything is written. A second
-//! one takes a few candidates of each of as many intervals as frames are wanted, and of these ffmpeg's `thumbnail` the most typical.
+//! A first pass counts the frames without decoding them, so that a broken or short video is refused
+//! before anything is written. A second one takes a few candidates of each of as many intervals as
+//! frames are wanted, and of these ffmpeg's `thumbnail` the most typical.
 
 use crate::prepare::photographs::{FEWEST, VIDEOS};
 use crate::prepare::work::{Program, Work};
@@ -88,7 +89,8 @@ impl Video {
         Ok(format!("{:?} {bytes} bytes, {} of {} frames", self.path, self.used, self.total))
     }
 
-    /// Writes the frames, as `000001.jpg`…, into the folder `frames`. They are upright: ffmpeg turns them as the video says.
+    /// Writes the frames, as `000001.jpg`…, into the folder `frames`. They are upright: ffmpeg
+    /// turns them as the video says.
     pub fn extract(&self, work: &Work) -> Result<()> {
         let Self { ffmpeg, path, total, used } = self;
         let frames = work.emptied("frames")?;

@@ -1,5 +1,6 @@
-//! The output folder of a preparation: nothing gets its final name before all of it is done, and what was done is not done again. And other
-//! programs at work: their output goes to log files that are read meanwhile, and Ctrl-C stops them.
+//! The output folder of a preparation: nothing gets its final name before all of it is done, and
+//! what was done is not done again. And other programs at work: their output goes to log files that
+//! are read meanwhile, and Ctrl-C stops them.
 
 use crate::pass::progress::Progress;
 use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
@@ -62,7 +63,8 @@ impl<'a> Work<'a> {
         self.out.join(LOGS).join(format!("{name}.log"))
     }
 
-    /// Does a step, unless it was done with the same settings before, and so were all steps before it.
+    /// Does a step, unless it was done with the same settings before, and so were all steps before
+    /// it.
     pub fn step(&mut self, name: &str, settings: &str, step: impl FnOnce(&Self) -> Result<()>) -> Result<()> {
         self.settings += &format!("{name}: {settings}\n");
         let stamp = self.path(&format!("{name}.done"));
@@ -75,7 +77,8 @@ impl<'a> Work<'a> {
         write_bytes(&stamp, self.settings.as_bytes())
     }
 
-    /// Runs a program under a bar of `length` steps; `done` reads from a line of its output how many are finished.
+    /// Runs a program under a bar of `length` steps; `done` reads from a line of its output how
+    /// many are finished.
     pub fn run(
         &self,
         name: &str,
@@ -99,7 +102,8 @@ impl<'a> Work<'a> {
         Ok(folder)
     }
 
-    /// Gives finished work its final name. What already has it, from an earlier run that was stopped, stays.
+    /// Gives finished work its final name. What already has it, from an earlier run that was
+    /// stopped, stays.
     pub fn publish(&self, from: &str, name: &str) -> Result<()> {
         let (from, to) = (self.path(from), self.out.join(name));
         if !from.exists() && to.exists() {
@@ -163,7 +167,8 @@ impl Program {
         Ok(String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned())
     }
 
-    /// Runs the program to its end. `watch` gets each line of its output soon after it is written; `log` keeps them all.
+    /// Runs the program to its end. `watch` gets each line of its output soon after it is written;
+    /// `log` keeps them all.
     pub fn run(&self, arguments: &[OsString], log: &Path, mut watch: impl FnMut(&str)) -> Result<()> {
         let file = File::create(log).map_err(Error::io("write", log))?;
         let twin = file.try_clone().map_err(Error::io("write", log))?;
@@ -208,7 +213,8 @@ impl Program {
         Err(Error::run(name, problem))
     }
 
-    /// A command without input. COLMAP opens a display only to use a GPU; it must not fail where there is none.
+    /// A command without input. COLMAP opens a display only to use a GPU; it must not fail where
+    /// there is none.
     fn command(&self) -> Command {
         let mut command = Command::new(&self.path);
         command.stdin(Stdio::null());

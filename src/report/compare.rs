@@ -1,4 +1,5 @@
-//! `lobelia eval PREDICTION TRUTH`: scores two folders of images, or two images, against each other.
+//! `lobelia eval PREDICTION TRUTH`: scores two folders of images, or two images, against each
+//! other.
 
 use crate::report::metrics::erode;
 use crate::report::scores::{EvalView, PassScores, Scaling, aligned, score_views};
@@ -18,18 +19,20 @@ pub struct Comparison {
     pub only_truth: Vec<String>,
 }
 
-/// Compares `prediction` with `truth`, two files or two folders whose images are matched by stem (if a folder has several
-/// files with one stem, the first extension in [`IMAGE_EXTENSIONS`] is used).
+/// Compares `prediction` with `truth`, two files or two folders whose images are matched by stem
+/// (if a folder has several files with one stem, the first extension in [`IMAGE_EXTENSIONS`] is
+/// used).
 ///
-/// Images are read like photographs: EXR and HDR are linear, others sRGB. Pixels in the mask count: the truth's alpha if it
-/// has one, else the prediction's, else the whole image; eroded by one pixel. sRGB scores are of whole images, after the scale if there is one; an
-/// image without alpha has that of the other.
+/// Images are read like photographs: EXR and HDR are linear, others sRGB. Pixels in the mask count:
+/// the truth's alpha if it has one, else the prediction's, else the whole image; eroded by one
+/// pixel. sRGB scores are of whole images, after the scale if there is one; an image without alpha
+/// has that of the other.
 ///
 /// Images have no layers of their own, so that `scaling` is not [`Scaling::PerLayer`].
 ///
 /// # Errors
-/// [`Error::Usage`] for a file against a folder, or no common stems; [`Error::Input`] for an unreadable image,
-/// unequal sizes, an empty mask, or a non-finite pixel in the mask.
+/// [`Error::Usage`] for a file against a folder, or no common stems; [`Error::Input`] for an
+/// unreadable image, unequal sizes, an empty mask, or a non-finite pixel in the mask.
 pub fn compare(prediction: &Path, truth: &Path, scaling: Scaling) -> Result<Comparison> {
     let help = "give two files or two folders";
     let is_folder = |path: &Path| {
@@ -70,7 +73,8 @@ pub fn compare(prediction: &Path, truth: &Path, scaling: Scaling) -> Result<Comp
 }
 
 impl Comparison {
-    /// A table for the terminal: one line per file, the means, those of sRGB values, and the files that are left out.
+    /// A table for the terminal: one line per file, the means, those of sRGB values, and the files
+    /// that are left out.
     pub fn table(&self) -> String {
         let scaled = self.scores.scaling != Scaling::None;
         let line = |name: &str, psnr: f64, raw: f64, ssim: f64| {
@@ -214,7 +218,8 @@ mod tests {
     #[test]
     fn the_mask_comes_from_the_truth_first() {
         let (_root, p, t) = folders();
-        // Right half wrong; the truth's alpha covers columns 0–3 (eroded: 0–2), the prediction's all.
+        // Right half wrong; the truth's alpha covers columns 0–3 (eroded: 0–2), the prediction's
+        // all.
         let wrong = |i: usize| if i % 8 >= 4 { 0.9 } else { 0.5 };
         exr(&p.join("a.exr"), [8, 6], wrong, Some(vec![1.0; 48]));
         let covered: Vec<f32> = (0..48).map(|i| if i % 8 < 4 { 1.0 } else { 0.0 }).collect();

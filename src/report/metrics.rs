@@ -1,18 +1,20 @@
 //! Scores of a predicted image against its truth, in linear light: PSNR, SSIM, the scales that are
 //! removed first, albedo and normals. Pure functions of slices, with sums in `f64`.
 //!
-//! Only pixels in the mask count. Masks are eroded by one pixel first (`erode`), so that pixels on the
-//! silhouette, which depend on coverage and not on material, are left out.
+//! Only pixels in the mask count. Masks are eroded by one pixel first (`erode`), so that pixels on
+//! the silhouette, which depend on coverage and not on material, are left out.
 
 use glam::{DVec3, Vec3};
 use lobelia_geometry::{Error, Result, view::raster::FULL_COVERAGE};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// The score of equal images, in dB: PSNR is clamped to it because JSON has no infinity (an RMS error of 1e-5).
+/// The score of equal images, in dB: PSNR is clamped to it because JSON has no infinity (an RMS
+/// error of 1e-5).
 pub const PSNR_CAP_DB: f64 = 100.0;
 
-/// A predicted view, its truth and the pixels that count. [`ImagePair::new`] checks sizes and finiteness.
+/// A predicted view, its truth and the pixels that count. [`ImagePair::new`] checks sizes and
+/// finiteness.
 #[derive(Clone, Copy, Debug)]
 pub struct ImagePair<'a> {
     /// Width in pixels.
@@ -31,7 +33,8 @@ impl<'a> ImagePair<'a> {
     /// Pairs images of `size` (width, height) pixels.
     ///
     /// # Errors
-    /// [`Error::Run`] if a slice is not `width * height` long, no pixel counts, or a pixel that counts is not finite.
+    /// [`Error::Run`] if a slice is not `width * height` long, no pixel counts, or a pixel that
+    /// counts is not finite.
     pub fn new(
         size: [usize; 2],
         prediction: &'a [Vec3],
@@ -68,8 +71,9 @@ impl<'a> ImagePair<'a> {
     }
 }
 
-/// The pixels whose 3×3 neighborhood is fully covered (≥ [`FULL_COVERAGE`]). Pixels beyond the border count as
-/// covered: an object that the frame cuts has no silhouette there, and a mask of ones does not change.
+/// The pixels whose 3×3 neighborhood is fully covered (≥ [`FULL_COVERAGE`]). Pixels beyond the
+/// border count as covered: an object that the frame cuts has no silhouette there, and a mask of
+/// ones does not change.
 ///
 /// `coverage` is `size[0] * size[1]` values in `[0, 1]`.
 pub(crate) fn erode(size: [usize; 2], coverage: &[f32]) -> Vec<bool> {
@@ -87,8 +91,9 @@ fn clip(value: DVec3) -> DVec3 {
     value.clamp(DVec3::ZERO, DVec3::ONE)
 }
 
-/// Peak signal-to-noise ratio in dB, peak 1, after clipping both images to `[0, 1]`:
-/// −10 log₁₀ of the mean squared error over the pixels that count and the three channels; at most [`PSNR_CAP_DB`].
+/// Peak signal-to-noise ratio in dB, peak 1, after clipping both images to `[0, 1]`: −10 log₁₀ of
+/// the mean squared error over the pixels that count and the three channels; at most
+/// [`PSNR_CAP_DB`].
 pub fn psnr(pair: &ImagePair) -> f64 {
     let squares = || pair.counted().map(|(p, t)| (clip(p) - clip(t)).length_squared());
     psnr_of_mse(squares().sum::<f64>() / (3 * squares().count()) as f64)
@@ -108,12 +113,15 @@ const C1: f64 = 0.01 * 0.01;
 /// (K₂ L)² with K₂ = 0.03, L = 1.
 const C2: f64 = 0.03 * 0.03;
 
-/// Mean structural similarity (Wang, Bovik, Sheikh and Simoncelli, "Image Quality Assessment", IEEE TIP 2004, eq. 13) over the three
-/// channels and the pixels that count, in linear light, for a dynamic range of 1.
+/// Mean structural similarity (Wang, Bovik, Sheikh and Simoncelli, "Image Quality Assessment", IEEE
+/// TIP 2004, eq. 13) over the three channels and the pixels that count, in linear light, for a
+/// dynamic range of 1.
 ///
-/// Both images are clipped to `[0, 1]` and black outside the mask, so that no pixel outside the mask has an effect. The similarity map is
-/// then computed over the whole image, with windows reflected at the border (… b a | a b …), and averaged over the pixels that count. The
-/// window is an 11×11 Gaussian of σ 1.5, normalized to 1; variances are not bias-corrected, as in the original.
+/// Both images are clipped to `[0, 1]` and black outside the mask, so that no pixel outside the
+/// mask has an effect. The similarity map is then computed over the whole image, with windows
+/// reflected at the border (… b a | a b …), and averaged over the pixels that count. The window is
+/// an 11×11 Gaussian of σ 1.5, normalized to 1; variances are not bias-corrected, as in the
+/// original.
 pub fn ssim(pair: &ImagePair) -> f64 {
     let value = |pixel: usize, channel: usize| {
         let clipped = |pixels: &[Vec3]| f64::from(pixels[pixel][channel]).clamp(0.0, 1.0);
@@ -122,8 +130,9 @@ pub fn ssim(pair: &ImagePair) -> f64 {
     ssim_of([pair.width, pair.height], |pixel| pair.mask[pixel], value)
 }
 
-/// The SSIM of pictures that are computed as they are needed: `value(pixel, channel)` is the prediction and the truth, in `[0, 1]`, and
-/// `counts(pixel)` whether a pixel counts; at least one must. Values are asked for several times.
+/// The SSIM of pictures that are computed as they are needed: `value(pixel, channel)` is the
+/// prediction and the truth, in `[0, 1]`, and `counts(pixel)` whether a pixel counts; at least one
+/// must. Values are asked for several times.
 pub(super) fn ssim_of(
     size: [usize; 2],
     counts: impl Fn(usize) -> bool + Sync,
@@ -200,7 +209,8 @@ fn weights() -> [f64; 2 * RADIUS + 1] {
     raw.map(|weight| weight / sum)
 }
 
-/// Index of position `at − RADIUS` on an axis of `len` cells, reflected at both ends as often as necessary.
+/// Index of position `at − RADIUS` on an axis of `len` cells, reflected at both ends as often as
+/// necessary.
 fn reflected(at: usize, len: usize) -> usize {
     let period = 2 * len as isize;
     let folded = (at as isize - RADIUS as isize).rem_euclid(period);
@@ -227,8 +237,8 @@ pub fn scaled(pixels: &[Vec3], scale: [f64; 3]) -> Vec<Vec3> {
     pixels.iter().map(|p| (p.as_dvec3() * scale).as_vec3()).collect()
 }
 
-/// Accumulates the least-squares scale per channel over any number of views: s = Σ p·t / Σ p², unclipped, over the pixels
-/// that count. Light and albedo are determined only up to such a scale.
+/// Accumulates the least-squares scale per channel over any number of views: s = Σ p·t / Σ p²,
+/// unclipped, over the pixels that count. Light and albedo are determined only up to such a scale.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ScaleSums {
     prediction_truth: DVec3,
@@ -261,8 +271,9 @@ pub fn scaled_layers(layers: [&[Vec3]; 2], scales: [[f64; 3]; 2]) -> Vec<Vec3> {
     pixels.map(|(d, s)| (a * d.as_dvec3() + b * s.as_dvec3()).as_vec3()).collect()
 }
 
-/// Accumulates, over any number of views, the non-negative least-squares scales of a diffuse and a specular layer whose sum
-/// approximates the truth. An edit replaces the specular layer, so that the two layers no longer have the common scale of the fit.
+/// Accumulates, over any number of views, the non-negative least-squares scales of a diffuse and a
+/// specular layer whose sum approximates the truth. An edit replaces the specular layer, so that
+/// the two layers no longer have the common scale of the fit.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LayerScaleSums {
     dd: DVec3,
@@ -289,8 +300,8 @@ impl LayerScaleSums {
         Ok(())
     }
 
-    /// The scales of both layers per channel, never negative. If the layers are proportional to each other, or one is black,
-    /// both have the scale of their sum.
+    /// The scales of both layers per channel, never negative. If the layers are proportional to
+    /// each other, or one is black, both have the scale of their sum.
     pub fn scales(&self) -> [[f64; 3]; 2] {
         let solved: [[f64; 2]; 3] = std::array::from_fn(|c| {
             two_scales([self.dd[c], self.ds[c], self.ss[c]], [self.dt[c], self.st[c]])
@@ -330,7 +341,8 @@ pub fn albedo_psnr(views: &[ImagePair]) -> Option<f64> {
     (count > 0).then(|| psnr_of_mse(sum / count as f64))
 }
 
-/// Median (mean of the middle two for an even count) of finite values, which are reordered; `None` for no values.
+/// Median (mean of the middle two for an even count) of finite values, which are reordered; `None`
+/// for no values.
 pub fn median<T: Copy + Into<f64>>(values: &mut [T]) -> Option<f64> {
     if values.is_empty() {
         return None;
@@ -353,8 +365,8 @@ pub struct NormalAngles {
 }
 
 impl NormalAngles {
-    /// Adds the pixels of a view that count. Both normals are normalized first (truth is an average over a pixel); a pixel where
-    /// either is zero is unknown and skipped.
+    /// Adds the pixels of a view that count. Both normals are normalized first (truth is an average
+    /// over a pixel); a pixel where either is zero is unknown and skipped.
     pub fn add(&mut self, pair: &ImagePair) {
         for (prediction, truth) in pair.counted() {
             if prediction.length_squared() > 1e-12 && truth.length_squared() > 1e-12 {

@@ -1,9 +1,10 @@
 //! Scores as published tables have them: of sRGB values in a mask that is not eroded and of whole
 //! pictures on white and on black ([`SrgbScores`]), and those of Stanford-ORB ([`OrbScores`]).
 //!
-//! NeRF's synthetic photographs are RGBA with straight, encoded colors; its tables are of those colors over a background, blended as they
-//! are encoded: encoded · α + background · (1 − α). Tables "in the mask", as IDR's and NeuS's, are of pixels at least half covered.
-//! Everything is computed pixel by pixel, so that no picture is copied.
+//! NeRF's synthetic photographs are RGBA with straight, encoded colors; its tables are of those
+//! colors over a background, blended as they are encoded: encoded · α + background · (1 − α).
+//! Tables "in the mask", as IDR's and NeuS's, are of pixels at least half covered. Everything is
+//! computed pixel by pixel, so that no picture is copied.
 
 use crate::report::metrics::{eroded, mean, psnr_of_mse, ssim_of};
 use glam::{DVec3, Vec3};
@@ -16,7 +17,8 @@ const IN_MASK: f32 = 0.5;
 /// Scores of sRGB values in `[0, 1]`: those of a view, or their means over views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SrgbScores {
-    /// PSNR over the pixels whose true coverage is at least half, dB; of colors that are not blended with a background.
+    /// PSNR over the pixels whose true coverage is at least half, dB; of colors that are not
+    /// blended with a background.
     pub psnr_mask: f64,
     /// PSNR over all pixels, on white, dB.
     pub psnr_white: f64,
@@ -57,7 +59,8 @@ impl Covered<'_> {
     }
 }
 
-/// Scores a prediction of `size` (width, height) pixels, of which the truth covers at least one by half; all are finite.
+/// Scores a prediction of `size` (width, height) pixels, of which the truth covers at least one by
+/// half; all are finite.
 pub(crate) fn srgb_scores(size: [usize; 2], prediction: Covered, truth: Covered) -> SrgbScores {
     let pixels = size[0] * size[1];
     // Squared errors, summed over pixels and channels.
@@ -110,12 +113,14 @@ const MOST_RADIANCE: f32 = 4.0;
 /// Value of the gray picture whose PSNR is the floor of every score.
 const GRAY: f64 = 0.5;
 
-/// Scores as Stanford-ORB has them (Kuang et al., NeurIPS 2023), of a picture, or their means over pictures: PSNR-H and PSNR-L of a picture
-/// whose channels are scaled to the truth, each picture by itself.
+/// Scores as Stanford-ORB has them (Kuang et al., NeurIPS 2023), of a picture, or their means over
+/// pictures: PSNR-H and PSNR-L of a picture whose channels are scaled to the truth, each picture by
+/// itself.
 ///
-/// Only the mask counts, eroded by two pixels, but squares are divided by all pixels of the picture. For PSNR-H both pictures are
-/// brightened by one factor, the mean of the truth encoded as sRGB over its mean in linear light, and cut at 4; for PSNR-L they are cut at
-/// 1 and encoded as sRGB. No score is less than that of a gray of 0.5.
+/// Only the mask counts, eroded by two pixels, but squares are divided by all pixels of the
+/// picture. For PSNR-H both pictures are brightened by one factor, the mean of the truth encoded as
+/// sRGB over its mean in linear light, and cut at 4; for PSNR-L they are cut at 1 and encoded as
+/// sRGB. No score is less than that of a gray of 0.5.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct OrbScores {
     /// PSNR-H: of linear radiance, dB.
@@ -211,7 +216,8 @@ mod tests {
 
     #[test]
     fn a_half_covered_pixel_by_hand() {
-        // 0.8 at full coverage against 0.4 at half: on white 0.8 and 0.7, on black 0.8 and 0.2; straight 0.8 and 0.4.
+        // 0.8 at full coverage against 0.4 at half: on white 0.8 and 0.7, on black 0.8 and 0.2;
+        // straight 0.8 and 0.4.
         let found = scores([1, 1], (&[0.8], &[1.0]), (&[0.4], &[0.5]));
         near(&found, [db(0.16), 20.0, db(0.36)]);
         // One pixel has no variance: SSIM is its luminance term.
@@ -222,7 +228,8 @@ mod tests {
 
     #[test]
     fn the_masked_score_counts_half_covered_pixels_and_no_others() {
-        // In the mask: gaps of 0.1 and 0.3. A quarter covered: outside. On black all four count, weighted by coverage.
+        // In the mask: gaps of 0.1 and 0.3. A quarter covered: outside. On black all four count,
+        // weighted by coverage.
         let alpha = [1.0, 0.5, 0.25, 0.0];
         let found = scores([2, 2], (&[0.5, 0.6, 0.9, 0.0], &alpha), (&[0.6, 0.3, 0.1, 0.0], &alpha));
         let black = db((0.1f64.powi(2) + 0.15f64.powi(2) + 0.2f64.powi(2)) / 4.0);
@@ -274,7 +281,8 @@ mod tests {
         assert!(scores.psnr_hdr > 90.0 && scores.psnr_ldr > 90.0, "{scores:?}");
     }
 
-    /// The numbers of `orb/utils/metrics.py` for these pictures, computed by its formulas with NumPy.
+    /// The numbers of `orb/utils/metrics.py` for these pictures, computed by its formulas with
+    /// NumPy.
     #[test]
     fn scores_are_those_of_stanford_orb() {
         let at = |i: usize, k: usize| ((i * (7 + 2 * k) + 3 * k) % 17) as f32 / 17.0;

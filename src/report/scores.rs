@@ -10,18 +10,22 @@ use lobelia_solve::fit::determined::Determined;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// The scale that is fitted to a prediction before scoring, by least squares over all views, if it is not one a view (unclipped, eroded masks).
+/// The scale that is fitted to a prediction before scoring, by least squares over all views, if it
+/// is not one a view (unclipped, eroded masks).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Scaling {
     /// None: for novel views.
     #[default]
     None,
-    /// One factor per channel: for relighting, because light and albedo are determined only up to that factor.
+    /// One factor per channel: for relighting, because light and albedo are determined only up to
+    /// that factor.
     PerChannel,
-    /// One factor per channel and view, as Stanford-ORB has it; its [scores](OrbScores) are then computed as well.
+    /// One factor per channel and view, as Stanford-ORB has it; its [scores](OrbScores) are then
+    /// computed as well.
     PerView,
-    /// One factor per channel for the diffuse layer and one for the specular layer: for edited materials.
+    /// One factor per channel for the diffuse layer and one for the specular layer: for edited
+    /// materials.
     PerLayer,
 }
 
@@ -80,7 +84,8 @@ pub struct ViewScores {
     /// The factors of this view, for [`Scaling::PerView`].
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub scale: Option<[f64; 3]>,
-    /// Scores of sRGB values after scaling, if the view is scored against a photograph or another picture of encoded colors.
+    /// Scores of sRGB values after scaling, if the view is scored against a photograph or another
+    /// picture of encoded colors.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub srgb: Option<SrgbScores>,
     /// Stanford-ORB's scores, for [`Scaling::PerView`].
@@ -99,12 +104,14 @@ pub struct PassScores {
     pub ssim: f64,
     /// The scaling that was applied.
     pub scaling: Scaling,
-    /// The factors: of the image, or of its diffuse layer (`[1, 1, 1]` for [`Scaling::None`]); their mean over the views for [`Scaling::PerView`].
+    /// The factors: of the image, or of its diffuse layer (`[1, 1, 1]` for [`Scaling::None`]);
+    /// their mean over the views for [`Scaling::PerView`].
     pub scale: [f64; 3],
     /// The specular layer's factors, for [`Scaling::PerLayer`].
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub scale_specular: Option<[f64; 3]>,
-    /// Mean scores of sRGB values after scaling, if the pass is scored against photographs or other pictures of encoded colors.
+    /// Mean scores of sRGB values after scaling, if the pass is scored against photographs or other
+    /// pictures of encoded colors.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub srgb: Option<SrgbScores>,
     /// Stanford-ORB's mean scores, for [`Scaling::PerView`].
@@ -130,7 +137,8 @@ pub(crate) fn given_up_words(given_up: Option<u32>) -> String {
     given_up.map_or(String::new(), |steps| format!(" (given up after {steps} steps)"))
 }
 
-/// Grounds of a fit's choice of base materials: mean absolute errors of radiance after the same steps over the same pixels.
+/// Grounds of a fit's choice of base materials: mean absolute errors of radiance after the same
+/// steps over the same pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MaterialsTried {
     /// With one base material.
@@ -147,8 +155,9 @@ pub struct MaterialsTried {
     pub seconds: f64,
 }
 
-/// Grounds of a fit's choice of the distribution of microfacet normals: mean absolute errors of radiance over the same pixels, after steps
-/// with one distribution and then as many with each of the two.
+/// Grounds of a fit's choice of the distribution of microfacet normals: mean absolute errors of
+/// radiance over the same pixels, after steps with one distribution and then as many with each of
+/// the two.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct NdfTried {
     /// With GGX.
@@ -171,7 +180,8 @@ pub struct NdfTried {
 pub struct PlacementFound {
     /// Which photographs, as in the scene file.
     pub photographs: String,
-    /// How the object was turned relative to the first placement, about x, then y, then z, in degrees.
+    /// How the object was turned relative to the first placement, about x, then y, then z, in
+    /// degrees.
     pub turned_degrees: [f32; 3],
 }
 
@@ -217,15 +227,17 @@ pub struct Scores {
     pub normal_median_deg: Option<f64>,
     /// Number of pixels whose normals are compared.
     pub normal_pixels: Option<u64>,
-    /// Mean over the views of the first scored pass: pixels in both the view's mask and the object as rendered, over pixels in
-    /// either; `null` if no view has a mask.
+    /// Mean over the views of the first scored pass: pixels in both the view's mask and the object
+    /// as rendered, over pixels in either; `null` if no view has a mask.
     pub mask_iou: Option<f64>,
-    /// Chamfer distance of the surface to the true mesh, in the data's own unit (unit-ball units where the object is in the unit ball):
-    /// the mean of the two directed mean distances; `null` if no true mesh is named.
+    /// Chamfer distance of the surface to the true mesh, in the data's own unit (unit-ball units
+    /// where the object is in the unit ball): the mean of the two directed mean distances; `null`
+    /// if no true mesh is named.
     pub chamfer: Option<f64>,
     /// The scale between light and albedo after the last fit; `null` if nothing is fitted.
     pub scale: Option<ScaleFound>,
-    /// The frame in which a fit found the light to stand still, as a scene file writes it; `null` if none was looked for.
+    /// The frame in which a fit found the light to stand still, as a scene file writes it; `null`
+    /// if none was looked for.
     pub light_frame: Option<String>,
     /// The frames that were tried.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -239,7 +251,8 @@ pub struct Scores {
     /// The distributions of microfacet normals that a fit has chosen from, if it had to.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ndf_tried: Option<NdfTried>,
-    /// How well the photographs determine what the last fit found, as standard deviations of logarithms.
+    /// How well the photographs determine what the last fit found, as standard deviations of
+    /// logarithms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub determined: Option<Determined>,
     /// Steps of fits that were not taken, because loss or gradient were not finite.
@@ -254,8 +267,8 @@ pub struct Scores {
     pub peak_rss_mib: Option<f64>,
 }
 
-/// Scores `count` views. `load(i)` gives view `i`; it is called once for each view, and once more before that for the
-/// scale, if there is one of all views, so that at most one view is in memory.
+/// Scores `count` views. `load(i)` gives view `i`; it is called once for each view, and once more
+/// before that for the scale, if there is one of all views, so that at most one view is in memory.
 pub(crate) fn score_views(
     count: usize,
     scaling: Scaling,
@@ -331,7 +344,8 @@ impl PassScores {
         view.scaled(own.unwrap_or(self.scale), self.scale_specular)
     }
 
-    /// "41.62 dB, SSIM 0.9871", with the unscaled PSNR where it differs: for headings of contact sheets.
+    /// "41.62 dB, SSIM 0.9871", with the unscaled PSNR where it differs: for headings of contact
+    /// sheets.
     pub fn summary(&self) -> String {
         match self.scaling {
             Scaling::None => format!("{:.2} dB, SSIM {:.4}", self.psnr, self.ssim),
@@ -351,8 +365,9 @@ impl Scores {
         file::write_bytes(path.as_ref(), text.as_bytes())
     }
 
-    /// A table for the terminal, one line per pass; a second one of sRGB scores below a blank line, if there are any; a line for each pass
-    /// that is scored as Stanford-ORB does; and a line for the rest. Ends with a line break.
+    /// A table for the terminal, one line per pass; a second one of sRGB scores below a blank line,
+    /// if there are any; a line for each pass that is scored as Stanford-ORB does; and a line for
+    /// the rest. Ends with a line break.
     pub fn table(&self) -> String {
         let heads = ["in sRGB", "mask dB", "white dB", "SSIM", "black dB", "SSIM"];
         let (mut srgb, mut rest) = (vec![heads.map(str::to_owned)], String::new());
@@ -402,7 +417,8 @@ impl Scores {
     }
 }
 
-/// Pads columns to their widest entry, with a rule under the first row; the first column is left-aligned, the others right-aligned.
+/// Pads columns to their widest entry, with a rule under the first row; the first column is
+/// left-aligned, the others right-aligned.
 pub(crate) fn aligned(rows: &[impl AsRef<[String]>]) -> String {
     let columns = rows.first().map_or(0, |row| row.as_ref().len());
     let longest = |c: usize| rows.iter().map(|row| row.as_ref()[c].chars().count()).max().unwrap_or(0);

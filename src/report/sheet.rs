@@ -1,7 +1,8 @@
 //! Contact sheets: rows of labeled pictures under headings, as one PNG; and the text on them.
 //!
-//! Text is of a built-in 5×7 bitmap font. Each glyph is enlarged eightfold by the Scale2x rule (A. Mazzoleni, 2001), applied three times,
-//! which rounds its corners, and then averaged down to the requested size, so that letters have smooth edges.
+//! Text is of a built-in 5×7 bitmap font. Each glyph is enlarged eightfold by the Scale2x rule (A.
+//! Mazzoleni, 2001), applied three times, which rounds its corners, and then averaged down to the
+//! requested size, so that letters have smooth edges.
 
 use image::{Rgb, RgbImage, imageops, imageops::FilterType};
 use lobelia_geometry::{Error, Result};
@@ -103,7 +104,8 @@ const ROWS: usize = 8;
 /// Enlargement before averaging down.
 const FINE: usize = 8;
 
-/// Glyphs from the space to the tilde: five bytes are the columns from left to right, of which bit 0 is the top row, bit 7 the descender's.
+/// Glyphs from the space to the tilde: five bytes are the columns from left to right, of which bit
+/// 0 is the top row, bit 7 the descender's.
 #[rustfmt::skip]
 const GLYPHS: [u64; 95] = [
     0x0000000000, 0x00005F0000, 0x0007000700, 0x147F147F14, 0x242A7F2A12, 0x2313086462, 0x3649562050,
@@ -138,7 +140,8 @@ fn glyph(character: char) -> u64 {
     }
 }
 
-/// The columns of a character: blank edges are removed, but digits keep their full width so that numbers align.
+/// The columns of a character: blank edges are removed, but digits keep their full width so that
+/// numbers align.
 fn inked(character: char) -> Vec<u8> {
     let all = &glyph(character).to_be_bytes()[3..];
     let first = all.iter().position(|&c| c != 0);
@@ -217,7 +220,8 @@ impl Glyph {
         inside && self.ink[y as usize * self.width + x as usize]
     }
 
-    /// Twice the size by Scale2x: a corner gets the color of its two outer neighbors if they are equal.
+    /// Twice the size by Scale2x: a corner gets the color of its two outer neighbors if they are
+    /// equal.
     fn doubled(&self) -> Self {
         let (width, height) = (2 * self.width, 2 * self.height);
         let dot = |i: usize| {
@@ -230,7 +234,8 @@ impl Glyph {
         Self { width, height, ink: (0..width * height).map(dot).collect() }
     }
 
-    /// Coverage of the square of side `step` font dots whose corner is (`x`, `y`) dots from the corner of the glyph.
+    /// Coverage of the square of side `step` font dots whose corner is (`x`, `y`) dots from the
+    /// corner of the glyph.
     fn coverage(&self, x: f32, y: f32, step: f32) -> f32 {
         const TAPS: usize = 8;
         let tap = |from: f32, i: usize| {

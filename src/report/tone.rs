@@ -19,16 +19,17 @@ pub enum Tone {
     /// Clipped at 1: values in range are shown exactly.
     #[default]
     Srgb,
-    /// A film-like shoulder and toe: S. Hill's fit of the ACES RRT and ODT (BakingLab, `ACES.hlsl`, 2016),
-    /// pre-scaled by 1/0.6 so that mid-gray stays about the same.
+    /// A film-like shoulder and toe: S. Hill's fit of the ACES RRT and ODT (BakingLab, `ACES.hlsl`,
+    /// 2016), pre-scaled by 1/0.6 so that mid-gray stays about the same.
     Filmic,
-    /// Exact up to about 0.76 and then compressed toward white, hue preserved: the Khronos PBR Neutral tone mapper (2024).
-    /// Best for judging materials under a bright light.
+    /// Exact up to about 0.76 and then compressed toward white, hue preserved: the Khronos PBR
+    /// Neutral tone mapper (2024). Best for judging materials under a bright light.
     Neutral,
 }
 
 impl Tone {
-    /// Display-referred linear value, in `[0, 1]`, of a scene-referred one. Non-finite and negative parts count as 0.
+    /// Display-referred linear value, in `[0, 1]`, of a scene-referred one. Non-finite and negative
+    /// parts count as 0.
     pub fn curve(self, radiance: Vec3) -> Vec3 {
         let radiance = radiance.map(|c| if c.is_finite() { c.max(0.0) } else { 0.0 });
         let mapped = match self {
@@ -41,7 +42,8 @@ impl Tone {
 }
 
 fn filmic(radiance: Vec3) -> Vec3 {
-    // Rows of the published matrices (sRGB → XYZ → D65_2_D60 → AP1 → RRT_SAT, and ODT_SAT → … → sRGB), so transposed here.
+    // Rows of the published matrices (sRGB → XYZ → D65_2_D60 → AP1 → RRT_SAT, and ODT_SAT → … →
+    // sRGB), so transposed here.
     const ACES: [[f32; 3]; 3] =
         [[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]];
     const SRGB: [[f32; 3]; 3] =
@@ -94,7 +96,8 @@ pub enum Backdrop<'a> {
     Transparent,
     /// One display-referred linear color in `[0, 1]`, without exposure and tone curve.
     Solid(Vec3),
-    /// The radiance behind each pixel (the environment), with the exposure and tone curve of the object.
+    /// The radiance behind each pixel (the environment), with the exposure and tone curve of the
+    /// object.
     Radiance(&'a [Vec3]),
 }
 
@@ -120,7 +123,8 @@ impl<'a> Picture<'a> {
         Self { width: frame.width, height: frame.height, color: &frame.color, alpha: &frame.alpha }
     }
 
-    /// The 8-bit sRGB samples of all pixels, in order: with straight alpha for a transparent backdrop, else opaque.
+    /// The 8-bit sRGB samples of all pixels, in order: with straight alpha for a transparent
+    /// backdrop, else opaque.
     ///
     /// # Errors
     /// [`Error::Run`] if a list does not have `width * height` entries.
@@ -134,7 +138,8 @@ impl<'a> Picture<'a> {
             }
         }
         let covered = |at: usize| self.alpha[at].clamp(0.0, 1.0);
-        // The color of the object for full coverage; the curve applies to this color, not to its mixture with black.
+        // The color of the object for full coverage; the curve applies to this color, not to its
+        // mixture with black.
         let straight = |at: usize| {
             let (color, alpha) = (self.color[at], covered(at));
             look.develop(if alpha > 1e-4 { color / alpha } else { color })
@@ -179,7 +184,8 @@ pub fn save_png(path: impl AsRef<Path>, frame: &Frame, look: &Look) -> Result<()
 /// [`Picture::samples8`] of its bands from the top, all with a `transparent` backdrop or none.
 ///
 /// # Errors
-/// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture, and those of `rows`.
+/// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture, and those of
+/// `rows`.
 pub fn write_png_rows(
     path: impl AsRef<Path>,
     size: [u32; 2],
@@ -196,7 +202,8 @@ fn byte(value: f32) -> u8 {
 
 /// 8-bit sRGB of a display-referred linear value, which is clipped to `[0, 1]`.
 pub fn srgb8(linear: Vec3) -> [u8; 3] {
-    // Which byte a value becomes is looked up: a power for each channel of each pixel would take a tenth of the time of a film.
+    // Which byte a value becomes is looked up: a power for each channel of each pixel would take a
+    // tenth of the time of a film.
     linear.to_array().map(|c| FIRST_OF_BYTE.partition_point(|first| *first <= c) as u8)
 }
 
@@ -214,8 +221,8 @@ static FIRST_OF_BYTE: LazyLock<[f32; 255]> = LazyLock::new(|| {
     })
 });
 
-/// sRGB stops of the color scale at 0, 1/8 … 1: matplotlib's "inferno" (N. Smith and S. van der Walt, 2015), which is
-/// perceptually uniform and suitable for color-blind readers.
+/// sRGB stops of the color scale at 0, 1/8 … 1: matplotlib's "inferno" (N. Smith and S. van der
+/// Walt, 2015), which is perceptually uniform and suitable for color-blind readers.
 const INFERNO: [[u8; 3]; 9] = [
     [0, 0, 4],
     [31, 12, 72],
@@ -228,7 +235,8 @@ const INFERNO: [[u8; 3]; 9] = [
     [252, 255, 164],
 ];
 
-/// Color of the scale at `value`, which is clamped to `[0, 1]` (NaN is cyan, which the scale does not contain).
+/// Color of the scale at `value`, which is clamped to `[0, 1]` (NaN is cyan, which the scale does
+/// not contain).
 pub(crate) fn heat_color(value: f32) -> [u8; 3] {
     if value.is_nan() {
         return [0, 255, 255];
@@ -243,9 +251,10 @@ pub(crate) fn heat_color(value: f32) -> [u8; 3] {
 /// The error at the end of the scale of error maps.
 pub(crate) const LARGEST_ERROR: f32 = 0.25;
 
-/// Map of the errors of a prediction, on a scale that is the same for all pictures: the color at the root of error / [`LARGEST_ERROR`], so
-/// that small errors are seen and large ones told apart. An error is the mean absolute difference of the channels, both values clipped to
-/// `[0, 1]`, in linear light. Pixels with zero coverage show the mat.
+/// Map of the errors of a prediction, on a scale that is the same for all pictures: the color at
+/// the root of error / [`LARGEST_ERROR`], so that small errors are seen and large ones told apart.
+/// An error is the mean absolute difference of the channels, both values clipped to `[0, 1]`, in
+/// linear light. Pixels with zero coverage show the mat.
 pub(crate) fn error_map(
     [width, height]: [usize; 2],
     [prediction, truth]: [&[Vec3]; 2],
@@ -263,13 +272,15 @@ pub(crate) fn error_map(
 const QUALITY: u8 = 85;
 /// Bytes that all small pictures of the views of a run may take together.
 pub(crate) const VIEWS_BUDGET: f64 = 5.5e6;
-/// Bytes of a pixel of a picture of an object, about: measured on renders and error maps at [`QUALITY`].
+/// Bytes of a pixel of a picture of an object, about: measured on renders and error maps at
+/// [`QUALITY`].
 const BYTES_PER_PIXEL: f64 = 0.2;
 /// Longest sides: of few pictures, and of so many that the budget is not kept.
 const LONGEST: f64 = 512.0;
 const SHORTEST: f64 = 96.0;
 
-/// The longest side of each of `count` pictures that are to keep to about `budget` bytes together, in pixels.
+/// The longest side of each of `count` pictures that are to keep to about `budget` bytes together,
+/// in pixels.
 pub(crate) fn side_within(count: usize, budget: f64) -> u32 {
     let side = (budget / BYTES_PER_PIXEL / count.max(1) as f64).sqrt();
     side.clamp(SHORTEST, LONGEST) as u32
@@ -354,7 +365,8 @@ mod tests {
         // Dull colors only lose the offset; x < 0.08 lowers by x − 6.25x².
         let value = Tone::Neutral.curve(Vec3::new(0.5, 0.3, 0.2));
         assert!(value.abs_diff_eq(Vec3::new(0.46, 0.26, 0.16), 1e-6), "{value}");
-        // peak 4 − 0.04 = 3.96: 1 − 0.24² / (3.96 + 0.24 − 0.76) on gray, which desaturation leaves alone.
+        // peak 4 − 0.04 = 3.96: 1 − 0.24² / (3.96 + 0.24 − 0.76) on gray, which desaturation leaves
+        // alone.
         let value = Tone::Neutral.curve(Vec3::splat(4.0));
         assert!((value.x - (1.0 - 0.0576 / 3.44)).abs() < 1e-5, "{value}");
     }

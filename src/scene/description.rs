@@ -1,7 +1,8 @@
 //! A whole scene file: surface, views, light, material, and the passes.
 //!
-//! Unless a field says otherwise, lengths are in the data set's own unit, colors are linear Rec. 709 and
-//! paths may begin with `$DATA` (the folder given by `--data`) or are relative to the scene file.
+//! Unless a field says otherwise, lengths are in the data set's own unit, colors are linear Rec.
+//! 709 and paths may begin with `$DATA` (the folder given by `--data`) or are relative to the scene
+//! file.
 
 use crate::scene::{Pass, Views};
 use glam::Vec3;
@@ -35,7 +36,8 @@ pub struct Scene {
     /// The light around the object. Default `Unknown(lobes: 128)`.
     #[serde(default)]
     pub light: Light,
-    /// In which frame the light stands still. Default `Auto`: found from the photographs, if the light is unknown.
+    /// In which frame the light stands still. Default `Auto`: found from the photographs, if the
+    /// light is unknown.
     #[serde(default)]
     pub light_frame: LightFrameChoice,
     /// The object's material. Default: all unknown.
@@ -45,8 +47,8 @@ pub struct Scene {
     /// to one factor a channel. Default `Highlights()`.
     #[serde(default)]
     pub scale: ScaleRule,
-    /// Shadows that the object throws on itself, and light that it reflects onto itself, in fits and closed-form renders.
-    /// Default `Traced()`.
+    /// Shadows that the object throws on itself, and light that it reflects onto itself, in fits
+    /// and closed-form renders. Default `Traced()`.
     #[serde(default)]
     pub visibility: Visibility,
     /// The passes, in order. Default: nothing.
@@ -75,12 +77,14 @@ pub enum Surface {
         /// Width and height of the albedo texture in texels, 8 to 4096. Default 256.
         #[serde(default = "number::<256>")]
         texture_size: u32,
-        /// Take the file's own material, as `Export` writes it: one dielectric, no metal, no textures but the base color's. It
-        /// counts as fixed, and `material` must not be given. Default false.
+        /// Take the file's own material, as `Export` writes it: one dielectric, no metal, no
+        /// textures but the base color's. It counts as fixed, and `material` must not be given.
+        /// Default false.
         #[serde(default)]
         own_material: bool,
     },
-    /// The shape is not known: it is found from the photographs' masks. `views` must be a `Dataset`.
+    /// The shape is not known: it is found from the photographs' masks. `views` must be a
+    /// `Dataset`.
     Unknown {
         /// Cells a side of the grid that the shape is found on, 16 to 256. Default 128.
         #[serde(default = "number::<128>")]
@@ -124,7 +128,8 @@ pub enum Visibility {
     None,
     /// Found by rays from every texel.
     Traced {
-        /// Directions over the sphere that texels look in, 64 to 4096, rounded up to a multiple of 64. Default 512.
+        /// Directions over the sphere that texels look in, 64 to 4096, rounded up to a multiple of
+        /// 64. Default 512.
         #[serde(default = "number::<512>")]
         directions: u32,
         /// Reflections from one part of the object onto another, 0 (shadows alone) to 8. Default 2.
@@ -172,16 +177,17 @@ impl Default for Light {
 /// In which frame the light stands still.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum LightFrameChoice {
-    /// The first fit of an unknown light finds it from the photographs; a light that is given stands in the world.
+    /// The first fit of an unknown light finds it from the photographs; a light that is given
+    /// stands in the world.
     #[default]
     Auto,
     /// The world: the camera goes around the object.
     World,
-    /// The camera: the object turns on a turntable before one camera, or lamps move with the camera. The light's x, y and z are right, up
-    /// and backward in the picture.
+    /// The camera: the object turns on a turntable before one camera, or lamps move with the
+    /// camera. The light's x, y and z are right, up and backward in the picture.
     Camera,
-    /// A turntable with this axis (not zero, in the world) before a camera that is raised or tilted between rounds:
-    /// `Turntable(0, 1, 0)`.
+    /// A turntable with this axis (not zero, in the world) before a camera that is raised or tilted
+    /// between rounds: `Turntable(0, 1, 0)`.
     Turntable(Vec3),
 }
 
@@ -245,15 +251,16 @@ pub enum LightSource {
         #[serde(default)]
         rotation_degrees: Vec3,
     },
-    /// A light in a RON file of its own, as `lobelia env fit --out` writes it: one of the others here, with paths from where that
-    /// file is.
+    /// A light in a RON file of its own, as `lobelia env fit --out` writes it: one of the others
+    /// here, with paths from where that file is.
     Ron {
         /// The file; must exist.
         path: PathBuf,
         /// Factor on the radiance ≥ 0, beside the file's own. Default 1.
         #[serde(default = "one")]
         scale: f32,
-        /// Turn after the file's own about the world's x, then y, then z axis, in degrees. Default (0, 0, 0).
+        /// Turn after the file's own about the world's x, then y, then z axis, in degrees. Default
+        /// (0, 0, 0).
         #[serde(default)]
         rotation_degrees: Vec3,
     },
@@ -273,8 +280,8 @@ pub enum LightSource {
         /// Which program's way the map faces. Default `Lobelia`.
         #[serde(default)]
         convention: MapConvention,
-        /// Light from above only: the map below the horizon counts as black, and no lobe's axis points below it (before
-        /// `rotation_degrees`). Default false.
+        /// Light from above only: the map below the horizon counts as black, and no lobe's axis
+        /// points below it (before `rotation_degrees`). Default false.
         #[serde(default)]
         upper_hemisphere: bool,
         /// Gray light: the map's luminance. Default false.
@@ -323,32 +330,37 @@ pub enum Albedo {
     Fixed(AlbedoSource),
 }
 
-/// How the diffuse albedo depends on the angle of view, as that of woven, coated and dusty surfaces does. Toward a viewer at the
-/// cosine c = n·v it is c times `albedo` and 1 − c times that along the surface.
+/// How the diffuse albedo depends on the angle of view, as that of woven, coated and dusty surfaces
+/// does. Toward a viewer at the cosine c = n·v it is c times `albedo` and 1 − c times that along
+/// the surface.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum Sheen {
-    /// A fit decides: like `Unknown` if that predicts photographs it was not fitted to clearly better, else like `None`.
+    /// A fit decides: like `Unknown` if that predicts photographs it was not fitted to clearly
+    /// better, else like `None`.
     #[default]
     Auto,
     /// Not at all: Lambertian.
     None,
     /// A fit finds it, one color per texel; only with an albedo that is not `Fixed`.
     Unknown,
-    /// Known: the diffuse albedo along the surface, in [0, 1], as `Save` writes it. `Fixed(Texture("albedo_along.exr"))`.
+    /// Known: the diffuse albedo along the surface, in [0, 1], as `Save` writes it.
+    /// `Fixed(Texture("albedo_along.exr"))`.
     Fixed(AlbedoSource),
 }
 
-/// How the diffuse albedo depends on the side that it is seen from, as that of fabric, brushed paint and relief finer than the mesh does:
-/// each texel is brighter toward one side, and darker toward the other.
+/// How the diffuse albedo depends on the side that it is seen from, as that of fabric, brushed
+/// paint and relief finer than the mesh does: each texel is brighter toward one side, and darker
+/// toward the other.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum Tilt {
-    /// A `Fit` with `detail` finds it together with the albedo; another fit, or one beside a known sheen, leaves it out.
+    /// A `Fit` with `detail` finds it together with the albedo; another fit, or one beside a known
+    /// sheen, leaves it out.
     #[default]
     Unknown,
     /// Not at all.
     None,
-    /// Known, beside an albedo that is `Fixed`: an EXR of vectors in the object's axes (channels X, Y, Z), as `Save` writes it; must
-    /// exist. `Fixed("albedo_tilt.exr")`.
+    /// Known, beside an albedo that is `Fixed`: an EXR of vectors in the object's axes (channels X,
+    /// Y, Z), as `Save` writes it; must exist. `Fixed("albedo_tilt.exr")`.
     Fixed(PathBuf),
 }
 
@@ -376,8 +388,9 @@ pub struct Specular {
 /// Distribution of microfacet normals. If `gloss: Auto` takes two base materials, both have `Ggx`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum NdfChoice {
-    /// A `Fit` that finds roughness or specular albedo of one base material decides: like `Sg`, unless `Ggx` explains
-    /// the photographs clearly better in the first steps. All else is like `Sg`.
+    /// A `Fit` that finds roughness or specular albedo of one base material decides: like `Sg`,
+    /// unless `Ggx` explains the photographs clearly better in the first steps. All else is like
+    /// `Sg`.
     #[default]
     Auto,
     /// One spherical Gaussian as in the paper; `shading: Published` has no other.
@@ -402,7 +415,8 @@ pub enum SpecularAlbedo {
         /// One gray value instead of three channels. Default true.
         #[serde(default = "yes")]
         mono: bool,
-        /// Where the fit starts, in [0, 1]. If neither this nor the roughness's is given, the photographs choose a pair.
+        /// Where the fit starts, in [0, 1]. If neither this nor the roughness's is given, the
+        /// photographs choose a pair.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         initial: Option<Vec3>,
     },
@@ -430,7 +444,8 @@ impl Specular {
 pub enum Roughness {
     /// A fit finds it.
     Unknown {
-        /// Where the fit starts, in [0.03, 1]. If neither this nor the specular albedo's is given, the photographs choose a pair.
+        /// Where the fit starts, in [0.03, 1]. If neither this nor the specular albedo's is given,
+        /// the photographs choose a pair.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         initial: Option<f32>,
     },
@@ -448,31 +463,33 @@ impl Default for Roughness {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum Gloss {
-    /// A `Fit` decides, if nothing is said in `specular` but its `ndf`: like `One`, unless that explains the photographs badly and two base
-    /// materials with `Ggx`, a dielectric and one that may be metal, explain them clearly better.
+    /// A `Fit` decides, if nothing is said in `specular` but its `ndf`: like `One`, unless that
+    /// explains the photographs badly and two base materials with `Ggx`, a dielectric and one that
+    /// may be metal, explain them clearly better.
     #[default]
     Auto,
     /// One: the lobe in `specular` everywhere.
     One,
-    /// Several, which start from the lobe in `specular` with roughnesses spread around its own; a fit finds them, and for each
-    /// texel how they blend.
+    /// Several, which start from the lobe in `specular` with roughnesses spread around its own; a
+    /// fit finds them, and for each texel how they blend.
     Blend {
         /// Base materials, 2 to 4. Default 2.
         #[serde(default = "number::<2>")]
         materials: u32,
     },
-    /// A roughness for each texel, in [0.1, 0.76], tied to its neighbors by a prior; the specular albedo in `specular` is one for all.
-    /// Not together with a `Shape` pass.
+    /// A roughness for each texel, in [0.1, 0.76], tied to its neighbors by a prior; the specular
+    /// albedo in `specular` is one for all. Not together with a `Shape` pass.
     Texels {
-        /// Weight ≥ 0, beside the image loss, of the mean difference of the logarithm of roughness (and of the specular lobe's share)
-        /// between neighboring texels. Default 0.003.
+        /// Weight ≥ 0, beside the image loss, of the mean difference of the logarithm of roughness
+        /// (and of the specular lobe's share) between neighboring texels. Default 0.003.
         #[serde(default = "gloss_smoothness")]
         smoothness: f32,
-        /// Difference of chromaticity (albedo over its sum) > 0 at which neighbors are tied half as much as those of one color.
-        /// Default 0.1.
+        /// Difference of chromaticity (albedo over its sum) > 0 at which neighbors are tied half as
+        /// much as those of one color. Default 0.1.
         #[serde(default = "gloss_color_width")]
         color_width: f32,
-        /// Whether the strength of the specular lobe varies too: a factor up to 1 for each texel. Default false.
+        /// Whether the strength of the specular lobe varies too: a factor up to 1 for each texel.
+        /// Default false.
         #[serde(default)]
         specular: bool,
     },
@@ -480,7 +497,8 @@ pub enum Gloss {
     Fixed {
         /// The base materials, 1 to 8.
         lobes: Vec<SpecularLobe>,
-        /// An EXR of the texture's size with a channel of blend weights for each, `weight0` and so on; must exist.
+        /// An EXR of the texture's size with a channel of blend weights for each, `weight0` and so
+        /// on; must exist.
         weights: PathBuf,
     },
 }

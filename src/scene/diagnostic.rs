@@ -169,7 +169,8 @@ impl SceneText<'_> {
     }
 }
 
-/// A fault of one place; `help` may be empty. Messages quote the text, which may have lines of any length.
+/// A fault of one place; `help` may be empty. Messages quote the text, which may have lines of any
+/// length.
 fn fault(message: String, at: Range<usize>, label: impl Into<String>, help: &str) -> Fault {
     let labels = vec![Label { at, text: shortened(label.into(), 200) }];
     Fault { message: shortened(message, 300), labels, help: shortened(help.to_owned(), 2000) }

@@ -1,4 +1,5 @@
-//! Reading a scene file: `--set`, parsing, paths and checks, each error with a caret. Nothing is written.
+//! Reading a scene file: `--set`, parsing, paths and checks, each error with a caret. Nothing is
+//! written.
 
 use crate::scene::diagnostic::{Problem, SceneText};
 use crate::scene::{Edit, Scene, VERSION, ron_tree, ron_tree::Node, source::set, validate::check};
@@ -16,8 +17,8 @@ pub struct LoadOptions {
     pub sets: Vec<(String, String)>,
     /// Replaces the scene's seed.
     pub seed: Option<u64>,
-    /// Without `data`, leave `$DATA/…` as it is and do not look for it, instead of refusing the scene: such a
-    /// scene can be checked but not run.
+    /// Without `data`, leave `$DATA/…` as it is and do not look for it, instead of refusing the
+    /// scene: such a scene can be checked but not run.
     pub without_data: bool,
 }
 
@@ -39,8 +40,8 @@ pub struct LoadedScene {
 /// Reads and checks a scene file.
 ///
 /// # Errors
-/// [`Error::Input`] if the file cannot be read, [`Error::Usage`] for a `--set` that cannot be applied,
-/// [`Error::Scene`] with a caret for everything that is wrong in the text.
+/// [`Error::Input`] if the file cannot be read, [`Error::Usage`] for a `--set` that cannot be
+/// applied, [`Error::Scene`] with a caret for everything that is wrong in the text.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
     if let Some(data) = &options.data
         && let Some(obstacle) = obstacle(data, FileKind::Folder)
@@ -77,7 +78,8 @@ pub fn to_ron(scene: &Scene) -> Result<String> {
     let config = ron::ser::PrettyConfig::new().depth_limit(6).struct_names(false);
     let text = options().to_string_pretty(scene, config);
     let text = text.map_err(|error| Error::run("writing the scene as RON", error.to_string()))?;
-    // A variant with that name is written as a raw identifier; no field of a scene is an option of such a type, so that both are read alike.
+    // A variant with that name is written as a raw identifier; no field of a scene is an option of
+    // such a type, so that both are read alike.
     Ok(text.replace(": r#None", ": None") + "\n")
 }
 

@@ -6,7 +6,8 @@ use lobelia_solve::fit::{cameras::CameraUnknowns, exposure::ExposureChoice, loss
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// One step of the work. A pass writes into `OUT/<name>/`; names are unique and match `[A-Za-z0-9_-]+`.
+/// One step of the work. A pass writes into `OUT/<name>/`; names are unique and match
+/// `[A-Za-z0-9_-]+`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Pass {
     /// Finds what the scene says is unknown, from the training views.
@@ -66,7 +67,8 @@ impl Pass {
     }
 }
 
-/// Renders the object: as it is, with a changed material (`Edit`), or under another light (`Relight`).
+/// Renders the object: as it is, with a changed material (`Edit`), or under another light
+/// (`Relight`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RenderPass {
@@ -95,15 +97,19 @@ pub struct FitPass {
     pub shading: FitShading,
     /// Nodes of `Accurate` shading: `Default` or `High`. Default `Default`.
     pub quality: Quality,
-    /// Number of update steps ≥ 1. Default 800: with many more, `Published` shading fits the bias of its formulas as well.
+    /// Number of update steps ≥ 1. Default 800: with many more, `Published` shading fits the bias
+    /// of its formulas as well.
     pub steps: u32,
-    /// Most pixels that are visited ≥ 1; of more, a random part, in which each texel has its share if they are fewer than four a texel. Default 2 000 000.
+    /// Most pixels that are visited ≥ 1; of more, a random part, in which each texel has its share
+    /// if they are fewer than four a texel. Default 2 000 000.
     pub max_pixels: u32,
-    /// Pixels per step ≥ 1; half as many before the first milestone, if no vertices move. Default 6144.
+    /// Pixels per step ≥ 1; half as many before the first milestone, if no vertices move. Default
+    /// 6144.
     pub batch: u32,
     /// Adam's step sizes.
     pub rates: Rates,
-    /// Fractions of the fit, rising, in (0, 1), after each of which all rates are multiplied by `decay`. Default [0.5, 0.75, 0.9].
+    /// Fractions of the fit, rising, in (0, 1), after each of which all rates are multiplied by
+    /// `decay`. Default [0.5, 0.75, 0.9].
     pub milestones: Vec<f32>,
     /// Factor on the rates at a milestone, in (0, 1]. Default 0.4.
     pub decay: f32,
@@ -111,12 +117,13 @@ pub struct FitPass {
     pub exposure: ExposureChoice,
     /// Which camera parameters of the training views are refined. Default `Given`: none.
     pub cameras: CameraUnknowns,
-    /// Whether the vertices of the mesh are refined: they move along their normals, which then are smooth; not if
-    /// `Shape` has placed them by stereo or found their normals by reflections. They are found better by a slower fit:
+    /// Whether the vertices of the mesh are refined: they move along their normals, which then are
+    /// smooth; not if `Shape` has placed them by stereo or found their normals by reflections. They
+    /// are found better by a slower fit:
     /// `steps: 1200, rates: (albedo: 0.02, light: 0.02, specular: 0.01)`. Default false.
     pub vertices: bool,
-    /// Whether the texture is then made as fine as the photographs, up to 2 048 texels a side, and its albedo, sheen and tilt are solved for
-    /// from all pixels. Default false.
+    /// Whether the texture is then made as fine as the photographs, up to 2 048 texels a side, and
+    /// its albedo, sheen and tilt are solved for from all pixels. Default false.
     pub detail: bool,
 }
 
@@ -141,7 +148,8 @@ impl Default for FitPass {
     }
 }
 
-/// A fit of shape, light and material to the training views and their masks, on grids from coarse to fine.
+/// A fit of shape, light and material to the training views and their masks, on grids from coarse
+/// to fine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ShapePass {
@@ -151,8 +159,8 @@ pub struct ShapePass {
     pub loss: Loss,
     /// The closed form that shades. Default `Accurate`.
     pub shading: FitShading,
-    /// The grids, from coarse to fine. Default: 64 cells for 300 steps, the shape held for 50; then 128 for 240; then 192 for 200, if its
-    /// cells are two pixels wide.
+    /// The grids, from coarse to fine. Default: 64 cells for 300 steps, the shape held for 50; then
+    /// 128 for 240; then 192 for 200, if its cells are two pixels wide.
     pub levels: Vec<GridLevel>,
     /// Pixels per step ≥ 1. Default 8192.
     pub batch: u32,
@@ -162,25 +170,32 @@ pub struct ShapePass {
     pub silhouette_batch: u32,
     /// Weight of the silhouettes beside the images ≥ 0. Default 0.3.
     pub silhouette: f32,
-    /// Weight of the field's smoothness ≥ 0 at the end of each level, relaxed from ten times that. Default 1e-6.
+    /// Weight of the field's smoothness ≥ 0 at the end of each level, relaxed from ten times that.
+    /// Default 1e-6.
     pub smoothness: f32,
     /// Rounds of averaging the shape's gradient over neighboring vertices. Default 8.
     pub blur: u32,
-    /// Adam's step sizes of light and material. Default `(albedo: 0.02, light: 0.02, specular: 0.01)`: slower than a `Fit`'s, for the shape moves too.
+    /// Adam's step sizes of light and material. Default
+    /// `(albedo: 0.02, light: 0.02, specular: 0.01)`: slower than a `Fit`'s, for the shape moves
+    /// too.
     pub rates: Rates,
-    /// Whether the mesh then moves to where neighboring photographs agree, if that says more than the shading. Default true.
+    /// Whether the mesh then moves to where neighboring photographs agree, if that says more than
+    /// the shading. Default true.
     pub stereo: bool,
-    /// Whether space that photographs look through, such as a cup's inside, is first removed from the hull, where no silhouette shows
-    /// it. For photographs of equal exposure under a light that stands still: not with `exposure: Brightness` or `Color`, nor on a turntable. Default true.
+    /// Whether space that photographs look through, such as a cup's inside, is first removed from
+    /// the hull, where no silhouette shows it. For photographs of equal exposure under a light that
+    /// stands still: not with `exposure: Brightness` or `Color`, nor on a turntable. Default true.
     pub hollows: bool,
-    /// Whether the part of the hull that no photograph sees, such as a cone below an object on a table, is spanned like a film of soap.
-    /// Default true.
+    /// Whether the part of the hull that no photograph sees, such as a cone below an object on a
+    /// table, is spanned like a film of soap. Default true.
     pub spans_unseen: bool,
-    /// Whether vertices get normals that explain what the surface mirrors, where those of the mesh leave much unexplained and photographs kept
-    /// aside are shown clearly better: for polished metal with dents finer than the mesh. `Fit(vertices: true)` does nothing after it. Not with
+    /// Whether vertices get normals that explain what the surface mirrors, where those of the mesh
+    /// leave much unexplained and photographs kept aside are shown clearly better: for polished
+    /// metal with dents finer than the mesh. `Fit(vertices: true)` does nothing after it. Not with
     /// exposures that differ. Default true.
     pub normals: bool,
-    /// Whether photographs have exposures of their own that are not known, as in [`FitPass::exposure`]. Default `Auto`.
+    /// Whether photographs have exposures of their own that are not known, as in
+    /// [`FitPass::exposure`]. Default `Auto`.
     pub exposure: ExposureChoice,
     /// Which camera parameters of the training views are refined. Default `Given`: none.
     pub cameras: CameraUnknowns,
@@ -228,8 +243,8 @@ pub struct GridLevel {
     pub hold: u32,
     /// Typical step of a distance at the first and the last step, in cells. Default (0.05, 0.002).
     pub rates: (f32, f32),
-    /// Pixels that a cell is wide in a typical photograph, below which the fit ends with the level before ≥ 0; the first level is
-    /// always fitted. Default 0.
+    /// Pixels that a cell is wide in a typical photograph, below which the fit ends with the level
+    /// before ≥ 0; the first level is always fitted. Default 0.
     pub pixels: f32,
 }
 
@@ -249,7 +264,8 @@ pub enum FitShading {
     Published,
 }
 
-/// Adam's step size for each block of parameters, in the unconstrained parameter's unit; 0 leaves a block as it is.
+/// Adam's step size for each block of parameters, in the unconstrained parameter's unit; 0 leaves a
+/// block as it is.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Rates {
@@ -277,12 +293,14 @@ pub struct EvaluatePass {
     pub scores: Vec<Score>,
     /// True diffuse albedo of the test views (`albedo_<number>.exr`). Default: not scored.
     pub albedo: Option<LayerTruth>,
-    /// True world normals of the test views: `normal_<number>.exr`, or `<view>_normal.png` as beside the photographs of NeRF's
-    /// synthetic sets. Such a PNG holds max(0, n) per component, encoded as sRGB, and only normals whose three components are positive
-    /// are known and scored; maps that hold (n + 1)/2 cannot be told from it: name them with `Files`. Default: not scored.
+    /// True world normals of the test views: `normal_<number>.exr`, or `<view>_normal.png` as
+    /// beside the photographs of NeRF's synthetic sets. Such a PNG holds max(0, n) per component,
+    /// encoded as sRGB, and only normals whose three components are positive are known and scored;
+    /// maps that hold (n + 1)/2 cannot be told from it: name them with `Files`. Default: not
+    /// scored.
     pub normal: Option<LayerTruth>,
-    /// The true surface, a `.glb` or `.gltf` in the coordinates of the cameras; must exist. The Chamfer distance to it is scored, in
-    /// the data's own unit. Default: not scored.
+    /// The true surface, a `.glb` or `.gltf` in the coordinates of the cameras; must exist. The
+    /// Chamfer distance to it is scored, in the data's own unit. Default: not scored.
     pub mesh: Option<PathBuf>,
 }
 
@@ -300,7 +318,8 @@ pub struct Score {
     pub pass: String,
     /// Reference for its images.
     pub truth: Truth,
-    /// Scales that are fitted before scoring, because light and albedo are known only up to one per channel. Default `None`.
+    /// Scales that are fitted before scoring, because light and albedo are known only up to one per
+    /// channel. Default `None`.
     #[serde(default)]
     pub scale: ScoreScale,
 }
@@ -313,7 +332,8 @@ pub enum Truth {
     Photographs,
     /// Images in a folder, with the views' names; must exist. `Folder("$DATA/test/gt/edit_gold")`.
     Folder(PathBuf),
-    /// An image for each view: `Files(folder: "$DATA", file: "{view}/rgba_city.png")`, as beside the photographs of TensoIR-Synthetic.
+    /// An image for each view: `Files(folder: "$DATA", file: "{view}/rgba_city.png")`, as beside
+    /// the photographs of TensoIR-Synthetic.
     Files {
         /// Where the files lie; must exist.
         folder: PathBuf,
@@ -334,8 +354,9 @@ pub enum Truth {
 pub enum LayerTruth {
     /// Images in a folder; must exist.
     Folder(PathBuf),
-    /// An image for each view: `Files(folder: "$DATA", file: "{view}/normal.png")`. EXR: the values; PNG and others: albedo as it is, not encoded as
-    /// sRGB, and normals as (n + 1)/2, as NeRFactor and TensoIR-Synthetic have them.
+    /// An image for each view: `Files(folder: "$DATA", file: "{view}/normal.png")`. EXR: the
+    /// values; PNG and others: albedo as it is, not encoded as sRGB, and normals as (n + 1)/2, as
+    /// NeRFactor and TensoIR-Synthetic have them.
     Files {
         /// Where the files lie; must exist.
         folder: PathBuf,
@@ -349,8 +370,8 @@ pub enum LayerTruth {
 /// Placeholder for the name of a view in the path of a file.
 pub const VIEW: &str = "{view}";
 
-/// Where the ground truth of each view is: in a folder, by a path from there with [`VIEW`] for its name, or as files of a folder are
-/// usually called.
+/// Where the ground truth of each view is: in a folder, by a path from there with [`VIEW`] for its
+/// name, or as files of a folder are usually called.
 #[derive(Clone, Copy, Debug)]
 pub struct TruthFiles<'a> {
     /// The folder.
@@ -389,7 +410,8 @@ pub enum ScoreScale {
     None,
     /// One per channel, shared by all views.
     PerChannel,
-    /// One per channel and view, as Stanford-ORB has it; `metrics.json` and the terminal then have its PSNR-H and PSNR-L, too.
+    /// One per channel and view, as Stanford-ORB has it; `metrics.json` and the terminal then have
+    /// its PSNR-H and PSNR-L, too.
     PerView,
     /// One per channel for the diffuse layer and one for the specular layer, shared by all views.
     PerLayer,
@@ -401,7 +423,8 @@ pub enum ScoreScale {
 pub struct SavePass {
     /// The pass's name. Default "saved".
     pub name: String,
-    /// The `Edit` or `Relight` pass whose edited material and light are saved. Default: the material and light that were found.
+    /// The `Edit` or `Relight` pass whose edited material and light are saved. Default: the
+    /// material and light that were found.
     pub of: Option<String>,
 }
 
@@ -417,12 +440,14 @@ impl Default for SavePass {
 pub struct ExportPass {
     /// The pass's name. Default "export".
     pub name: String,
-    /// The `Edit` or `Relight` pass whose edited material is exported. Default: the material that was found.
+    /// The `Edit` or `Relight` pass whose edited material is exported. Default: the material that
+    /// was found.
     pub of: Option<String>,
     /// The files to write, at least one. Default `[Glb]`.
     pub formats: Vec<MeshFormat>,
-    /// Write about this many triangles ≥ 4 instead of all, closed where the surface is, with new texture coordinates and the albedo
-    /// carried over. Sharp edges become smoothly shaded. Default: all triangles, as they are.
+    /// Write about this many triangles ≥ 4 instead of all, closed where the surface is, with new
+    /// texture coordinates and the albedo carried over. Sharp edges become smoothly shaded.
+    /// Default: all triangles, as they are.
     pub triangles: Option<u32>,
     /// Which way is up in the files; the light is turned with the object. Default `Data`.
     pub up: ExportUp,
@@ -467,17 +492,18 @@ impl Default for ExportPass {
     }
 }
 
-/// Writes a page, `view.html`, that shows the object in a browser: to be turned, relit and edited, with nothing else needed.
+/// Writes a page, `view.html`, that shows the object in a browser: to be turned, relit and edited,
+/// with nothing else needed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ViewPass {
     /// The pass's name. Default "view".
     pub name: String,
-    /// The `Edit` or `Relight` pass whose edited material and light the page begins with. Default: the material and light that were
-    /// found.
+    /// The `Edit` or `Relight` pass whose edited material and light the page begins with. Default:
+    /// the material and light that were found.
     pub of: Option<String>,
-    /// Most photographs in the page, to be laid over its own picture under a wipe: test views, then training views, evenly chosen and
-    /// made small; 0: none. Default 24.
+    /// Most photographs in the page, to be laid over its own picture under a wipe: test views, then
+    /// training views, evenly chosen and made small; 0: none. Default 24.
     pub photographs: u32,
 }
 
@@ -490,8 +516,8 @@ impl Default for ViewPass {
 /// A file that a mesh is written to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum MeshFormat {
-    /// `mesh.glb`: binary glTF with textures, roughness and reflectance; the light as `light.hdr` and `light_blender.hdr`; and a page for
-    /// browsers, `model-viewer.html`.
+    /// `mesh.glb`: binary glTF with textures, roughness and reflectance; the light as `light.hdr`
+    /// and `light_blender.hdr`; and a page for browsers, `model-viewer.html`.
     Glb,
     /// `mesh.usda`: USD as text, with textures and the light beside it.
     Usda,

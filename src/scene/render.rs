@@ -1,4 +1,5 @@
-//! How a pass renders: which views and shading, how the pictures look, films, and edits of the material.
+//! How a pass renders: which views and shading, how the pictures look, films, and edits of the
+//! material.
 
 use crate::{report::tone::Tone, scene::number, scene::yes};
 use glam::Vec3;
@@ -16,7 +17,8 @@ pub struct RenderSettings {
     pub shading: Shading,
     /// Nodes of `Accurate` shading: `Default`, or `High` for final renders. Default `Default`.
     pub quality: Quality,
-    /// Camera rays per pixel, 1 to 1024 (the path tracer uses its `spp`); in a film in closed form at edges and patterns only. Default 4.
+    /// Camera rays per pixel, 1 to 1024 (the path tracer uses its `spp`); in a film in closed form
+    /// at edges and patterns only. Default 4.
     pub samples_per_pixel: u32,
     /// Brightness of the PNGs in stops, −20 to 20 (EXRs are as they are). Default 0.
     pub exposure: f32,
@@ -61,7 +63,8 @@ pub enum ViewChoice {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum Shading {
-    /// Accurate integrals of light SG × BRDF × cosine, with shadows and interreflection as far as `visibility` finds them.
+    /// Accurate integrals of light SG × BRDF × cosine, with shadows and interreflection as far as
+    /// `visibility` finds them.
     #[default]
     Accurate,
     /// PhySG's published approximation of them, without shadows and interreflection.
@@ -74,7 +77,8 @@ pub enum Shading {
         /// Most surface hits of a path, 1 to 64. Default 4.
         #[serde(default = "number::<4>")]
         max_bounces: u32,
-        /// Where the light is a map, trace against the map itself and not against the lobes fitted to it. Default true.
+        /// Where the light is a map, trace against the map itself and not against the lobes fitted
+        /// to it. Default true.
         #[serde(default = "yes")]
         map: bool,
     },
@@ -88,7 +92,8 @@ pub struct Orbit {
     pub frames: u32,
     /// Height of the camera over the horizon in degrees, −89 to 89. Default 20.
     pub elevation_degrees: f32,
-    /// Distance from the object's center > 0. Default: far enough that the object fills the picture.
+    /// Distance from the object's center > 0. Default: far enough that the object fills the
+    /// picture.
     pub radius: Option<f32>,
     /// Field of view in degrees, 0.001 to 170. Default 38.
     pub fov_degrees: f32,
@@ -100,7 +105,8 @@ pub struct Orbit {
     pub height: Option<u32>,
     /// Frames per second, 1 to 100. Default 20.
     pub fps: u32,
-    /// Where the camera is over time, in the order of time, instead of one even turn at one height and distance. Default [].
+    /// Where the camera is over time, in the order of time, instead of one even turn at one height
+    /// and distance. Default [].
     pub keys: Vec<OrbitKey>,
     /// The light turns over the frames. Default: it stands still.
     pub light: Option<LightSweep>,
@@ -139,7 +145,8 @@ impl Orbit {
 pub struct OrbitKey {
     /// When, from 0 (first frame) to 1 (last frame); not before the key above it.
     pub at: f32,
-    /// Angle around the object in degrees, counterclockwise from above; 0 is in front. Default: no key, and so one even turn.
+    /// Angle around the object in degrees, counterclockwise from above; 0 is in front. Default: no
+    /// key, and so one even turn.
     #[serde(default)]
     pub angle_degrees: Option<f32>,
     /// Height of the camera over the horizon in degrees, −89 to 89. Default: no key.
@@ -191,7 +198,8 @@ pub struct LightSweep {
     pub axis: Option<Vec3>,
     /// Angle at the first frame in degrees. Default 0.
     pub from_degrees: f32,
-    /// Angle one frame after the last, so that whole turns play without a break; with `Hold` at the last frame. Default 360.
+    /// Angle one frame after the last, so that whole turns play without a break; with `Hold` at the
+    /// last frame. Default 360.
     pub to_degrees: f32,
     /// How it changes. Default `Linear`.
     pub easing: Easing,
@@ -203,7 +211,8 @@ impl Default for LightSweep {
     }
 }
 
-/// The material changes over the frames of a film: factors on what the pass shows, at the first frame and at the last.
+/// The material changes over the frames of a film: factors on what the pass shows, at the first
+/// frame and at the last.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MaterialSweep {
@@ -223,7 +232,8 @@ impl Default for MaterialSweep {
     }
 }
 
-/// One change of the material: `Diffuse(action: Set(0.8, 0.1, 0.1), region: Sphere(center: (0, 0.5, 0), radius: 0.3))`.
+/// One change of the material:
+/// `Diffuse(action: Set(0.8, 0.1, 0.1), region: Sphere(center: (0, 0.5, 0), radius: 0.3))`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum Edit {
@@ -277,7 +287,8 @@ pub enum ColorAction {
         /// In [0, 1].
         weight: f32,
     },
-    /// Replaces the diffuse albedo by an image in texture space: PNG (sRGB) or EXR (linear); must exist. `Texture("paint.png")`.
+    /// Replaces the diffuse albedo by an image in texture space: PNG (sRGB) or EXR (linear); must
+    /// exist. `Texture("paint.png")`.
     Texture(PathBuf),
 }
 
@@ -311,7 +322,8 @@ pub enum Region {
         min: Vec3,
         /// Greatest corner; no coordinate below `min`'s.
         max: Vec3,
-        /// Distance inside the walls over which the edit sets in, world units ≥ 0. Default 0: a hard edge.
+        /// Distance inside the walls over which the edit sets in, world units ≥ 0. Default 0: a
+        /// hard edge.
         #[serde(default)]
         falloff: f32,
     },
@@ -321,21 +333,25 @@ pub enum Region {
         center: Vec3,
         /// Radius > 0.
         radius: f32,
-        /// Distance inside the ball over which the edit sets in, world units ≥ 0. Default 0: a hard edge.
+        /// Distance inside the ball over which the edit sets in, world units ≥ 0. Default 0: a hard
+        /// edge.
         #[serde(default)]
         falloff: f32,
     },
     /// Within a distance of a line in world space, as a brush paints it: around one point a ball.
     Stroke {
-        /// The points that the line goes through, in order, straight from each to the next; 1 to 256.
+        /// The points that the line goes through, in order, straight from each to the next; 1 to
+        /// 256.
         points: Vec<Vec3>,
         /// Greatest distance from the line, world units > 0.
         radius: f32,
-        /// Distance inside the border over which the edit sets in, world units ≥ 0. Default 0: a hard edge.
+        /// Distance inside the border over which the edit sets in, world units ≥ 0. Default 0: a
+        /// hard edge.
         #[serde(default)]
         falloff: f32,
     },
-    /// Where an image in texture space is bright (0: not at all, 1: fully); must exist. `Mask("belly.png")`.
+    /// Where an image in texture space is bright (0: not at all, 1: fully); must exist.
+    /// `Mask("belly.png")`.
     Mask(PathBuf),
 }
 

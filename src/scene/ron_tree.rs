@@ -1,18 +1,20 @@
 //! RON text as a light tree of byte ranges, with no types.
 //!
-//! It serves three ends: the caret of an error about a value (`material.specular.roughness`), `--set path=value`, which replaces a
-//! value's text before the file is read as usual, and comparing scene files of any version.
+//! It serves three ends: the caret of an error about a value (`material.specular.roughness`),
+//! `--set path=value`, which replaces a value's text before the file is read as usual, and
+//! comparing scene files of any version.
 //!
-//! A path is a list of steps joined by dots. A step is a field's name, an index of a list or tuple, the `name`
-//! of a list's item, or (where no item has that name) the only item of that kind: `passes.novel.render.exposure`,
-//! `passes.fit.rates.light`. Wrappers such as `Fixed(Map(scale: 2))` are looked through: `light.scale`.
+//! A path is a list of steps joined by dots. A step is a field's name, an index of a list or tuple,
+//! the `name` of a list's item, or (where no item has that name) the only item of that kind:
+//! `passes.novel.render.exposure`, `passes.fit.rates.light`. Wrappers such as
+//! `Fixed(Map(scale: 2))` are looked through: `light.scale`.
 
 use std::ops::Range;
 
 /// Nesting beyond this is refused, so that hostile text cannot exhaust the stack.
 const MAX_DEPTH: usize = 100;
-/// Text with more values than this is refused, because each takes some hundred bytes of memory. A saved scene of 20 000 cameras
-/// has fewer than half as many.
+/// Text with more values than this is refused, because each takes some hundred bytes of memory. A
+/// saved scene of 20 000 cameras has fewer than half as many.
 const MAX_VALUES: usize = 1_000_000;
 
 /// A value in the text.
@@ -85,7 +87,8 @@ impl Node {
         }
     }
 
-    /// The innermost value with a body of a kind whose bytes contain `at`; this one if there is none.
+    /// The innermost value with a body of a kind whose bytes contain `at`; this one if there is
+    /// none.
     pub fn innermost(&self, at: usize, is_wanted: impl Fn(&Body) -> bool) -> &Node {
         let (mut best, mut here) = (self, Some(self));
         while let Some(node) = here {
@@ -102,7 +105,8 @@ impl Node {
         best
     }
 
-    /// A short range that stands for the value in a message: itself, or its name or opening bracket if it is long.
+    /// A short range that stands for the value in a message: itself, or its name or opening bracket
+    /// if it is long.
     pub fn handle(&self, text: &str) -> Range<usize> {
         match &self.name {
             _ if !text[self.span.clone()].contains('\n') => self.span.clone(),
@@ -127,7 +131,8 @@ impl Node {
         }
     }
 
-    /// Where `path` leads, as a short range, and whether its value is in the text: else it is that of what comes nearest.
+    /// Where `path` leads, as a short range, and whether its value is in the text: else it is that
+    /// of what comes nearest.
     pub fn locate(&self, text: &str, path: &str) -> (Range<usize>, bool) {
         let mut node = self;
         for step in path.split('.').filter(|step| !step.is_empty()) {
@@ -257,7 +262,8 @@ impl Parser<'_> {
         self.at += self.rest().find(|c| !keep(c)).unwrap_or(self.rest().len());
     }
 
-    /// Reads what is between the bracket here and `close`: items, each by `read`, with commas between them.
+    /// Reads what is between the bracket here and `close`: items, each by `read`, with commas
+    /// between them.
     fn bracket(
         &mut self,
         close: char,

@@ -1,4 +1,5 @@
-//! `--set path=value` on the text of a scene file, and the values of a scene file of any version by their paths.
+//! `--set path=value` on the text of a scene file, and the values of a scene file of any version by
+//! their paths.
 
 use crate::scene::ron_tree::{Body, Node, parse};
 use std::ops::Range;
@@ -89,8 +90,8 @@ fn splice(text: &str, range: Range<usize>, new: &str) -> String {
     format!("{}{new}{}", &text[..range.start], &text[range.end..])
 }
 
-/// The values in the text with their paths, as `--set` writes these; nothing if it is not RON. Only what the text says is there: defaults are
-/// not. A list of numbers is one value.
+/// The values in the text with their paths, as `--set` writes these; nothing if it is not RON. Only
+/// what the text says is there: defaults are not. A list of numbers is one value.
 pub fn fields(text: &str) -> Vec<(String, String)> {
     let mut found = Vec::new();
     if let Ok(root) = parse(text) {

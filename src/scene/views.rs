@@ -51,14 +51,16 @@ pub struct Dataset {
     /// How the folder is laid out. Default `Auto`.
     #[serde(default)]
     pub layout: Layout,
-    /// How 8- and 16-bit images are decoded to linear light (EXR and HDR are linear). Default `Srgb`.
+    /// How 8- and 16-bit images are decoded to linear light (EXR and HDR are linear). Default
+    /// `Srgb`.
     #[serde(default)]
     pub gamma: Gamma,
-    /// Where in a pixel its center is, in pixels from its upper left corner, 0 to 1; 0 for data of PhySG's own code. Default: 0 in
-    /// the layout `Idr`, 0.5 in all others.
+    /// Where in a pixel its center is, in pixels from its upper left corner, 0 to 1; 0 for data of
+    /// PhySG's own code. Default: 0 in the layout `Idr`, 0.5 in all others.
     #[serde(default)]
     pub pixel_center: Option<f32>,
-    /// Factor on all focal lengths, 0.5 to 2, such as a fit with `cameras: PosesAndFocal` found. Default 1.
+    /// Factor on all focal lengths, 0.5 to 2, such as a fit with `cameras: PosesAndFocal` found.
+    /// Default 1.
     #[serde(default = "one")]
     pub focal_scale: f32,
     /// Images are shrunk by this whole factor ≥ 1 (box filter). Default 1.
@@ -67,8 +69,8 @@ pub struct Dataset {
     /// Keep every n-th view of each split, n ≥ 1, starting with the first. Default 1.
     #[serde(default = "number::<1>")]
     pub every: u32,
-    /// Where the data has no test split of its own (COLMAP, say), every n-th view by name is one of it, n ≥ 2, starting with the
-    /// first; 0: there is none. Default 8.
+    /// Where the data has no test split of its own (COLMAP, say), every n-th view by name is one of
+    /// it, n ≥ 2, starting with the first; 0: there is none. Default 8.
     #[serde(default = "number::<8>")]
     pub hold_out: u32,
     /// Keep only the views with these names (image file stems); empty: all. Default [].
@@ -78,7 +80,8 @@ pub struct Dataset {
     /// Default: nothing.
     #[serde(default)]
     pub priors: Priors,
-    /// How the object lay, or what light it was in, where that changed between rounds of photographs; fewer than two: it was the same in all. Default [].
+    /// How the object lay, or what light it was in, where that changed between rounds of
+    /// photographs; fewer than two: it was the same in all. Default [].
     #[serde(default)]
     pub placements: Vec<PlacementSpec>,
 }
@@ -87,12 +90,13 @@ pub struct Dataset {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlacementSpec {
-    /// A folder of the data set that the photographs are in, at any depth, or what their names begin with. A photograph belongs to the first entry that it
-    /// suits, and must suit one.
+    /// A folder of the data set that the photographs are in, at any depth, or what their names
+    /// begin with. A photograph belongs to the first entry that it suits, and must suit one.
     pub photographs: String,
-    /// How the object is turned relative to the first placement, about the world's x, then y, then z axis, in degrees: from
-    /// its axes, which are those of the cameras, to where they point in the room. Not for the first. Default: a fit finds it; beside a `light` of its own
-    /// (0, 0, 0): that light is in the axes of the object.
+    /// How the object is turned relative to the first placement, about the world's x, then y, then
+    /// z axis, in degrees: from its axes, which are those of the cameras, to where they point in
+    /// the room. Not for the first. Default: a fit finds it; beside a `light` of its own (0, 0, 0):
+    /// that light is in the axes of the object.
     #[serde(default)]
     pub turned_degrees: Option<Vec3>,
     /// The light on these photographs. Not for the first. Default `Same`.
@@ -106,7 +110,8 @@ pub enum PlacementLight {
     /// The light of the first placement: the same room, at the same time.
     #[default]
     Same,
-    /// Another room or another day: a light of its own, which a fit finds as it does the scene's `light`.
+    /// Another room or another day: a light of its own, which a fit finds as it does the scene's
+    /// `light`.
     Own,
     /// Another light that is known, where the scene's `light` is: `Fixed(Map(path: "garden.exr"))`.
     Fixed(LightSource),
@@ -144,7 +149,8 @@ fn test_split() -> Split {
     Split::Test
 }
 
-/// Photographs that the project takes itself: the scene's surface, with a known material, under a known light, path traced.
+/// Photographs that the project takes itself: the scene's surface, with a known material, under a
+/// known light, path traced.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Photographed {
@@ -191,18 +197,21 @@ impl Default for CameraRing {
 pub struct TruthObject {
     /// Diffuse albedo over the surface.
     pub albedo: Pattern,
-    /// Specular albedo in [0, 1], roughness in [0.03, 1] and, if not the paper's, `ndf`: `(albedo: (…), roughness: 0.25, ndf: Ggx)`.
+    /// Specular albedo in [0, 1], roughness in [0.03, 1] and, if not the paper's, `ndf`:
+    /// `(albedo: (…), roughness: 0.25, ndf: Ggx)`.
     pub specular: SpecularLobe,
     /// The light.
     pub light: LightSource,
     /// The frame in which it stands still, as `light_frame` of the scene. Default `World`.
     #[serde(default)]
     pub light_frame: LightFrame,
-    /// How the object is turned for each further round of photographs, as `turned_degrees` of `placements` of a data set; views are of the
-    /// rounds in turn. The fit is told which, and not how the object is turned. Default [].
+    /// How the object is turned for each further round of photographs, as `turned_degrees` of
+    /// `placements` of a data set; views are of the rounds in turn. The fit is told which, and not
+    /// how the object is turned. Default [].
     #[serde(default)]
     pub placements: Vec<Vec3>,
-    /// Lights of further rounds of photographs, after those of `placements`: another room, or another day. The fit is told which photographs are of which. Default [].
+    /// Lights of further rounds of photographs, after those of `placements`: another room, or
+    /// another day. The fit is told which photographs are of which. Default [].
     #[serde(default)]
     pub other_lights: Vec<LightSource>,
     /// Further changes of the material: regions of other color or gloss. Default [].

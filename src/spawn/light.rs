@@ -1,5 +1,5 @@
-//! The light that a scene describes, ready to shade with; and a light in a file of its own: the RON text that
-//! a scene has after `light: Fixed(`, `.npy` lobes, and maps.
+//! The light that a scene describes, ready to shade with; and a light in a file of its own: the RON
+//! text that a scene has after `light: Fixed(`, `.npy` lobes, and maps.
 
 use crate::scene::{Light, LightSource, load::options};
 use glam::{EulerRot, Quat, Vec3};
@@ -92,8 +92,8 @@ pub struct LightConventions {
 
 const HELP: &str = "Give a .ron light, .npy lobes, or an .exr or .hdr map.";
 
-/// Reads a light and says what was repaired: RON (`Lobes(…)`, `Npy(…)` or `Map(…)`, paths relative to the file), `.npy`
-/// lobes, or a map told by its first bytes.
+/// Reads a light and says what was repaired: RON (`Lobes(…)`, `Npy(…)` or `Map(…)`, paths relative
+/// to the file), `.npy` lobes, or a map told by its first bytes.
 ///
 /// # Errors
 /// [`Error::Input`] if the file is missing or wrong.
@@ -129,7 +129,8 @@ fn bad_ron(path: &Path, place: &str, problem: String) -> Error {
     Error::input(path, place, problem, help)
 }
 
-/// Refuses a map of which nothing is lit that a fit looks at: `target` is what the fit's options leave of it.
+/// Refuses a map of which nothing is lit that a fit looks at: `target` is what the fit's options
+/// leave of it.
 ///
 /// # Errors
 /// [`Error::Input`].
@@ -180,7 +181,8 @@ pub(crate) fn inlined(path: &Path, scale: f32, rotation_degrees: Vec3) -> Result
     Ok(source)
 }
 
-/// The files that a light is read from: its own, and the one that a RON file names. One that cannot be read names none.
+/// The files that a light is read from: its own, and the one that a RON file names. One that cannot
+/// be read names none.
 pub fn files_of(path: &Path) -> Vec<PathBuf> {
     let named = match extension(path).as_str() {
         "ron" => inlined(path, 1.0, Vec3::ZERO).ok(),
@@ -228,7 +230,8 @@ fn open(source: &LightSource) -> Result<(LightFile, Vec<String>)> {
     Ok((if degrees == Vec3::ZERO { light } else { light.rotated(rotation(degrees)) }, notes))
 }
 
-/// An axis within 10⁻⁶ of unit length keeps its bits, so that lights come back as they were written.
+/// An axis within 10⁻⁶ of unit length keeps its bits, so that lights come back as they were
+/// written.
 fn with_unit_axis(lobe: &LightLobe) -> LightLobe {
     if (lobe.axis.length() - 1.0).abs() <= 1e-6 {
         return *lobe;
@@ -245,8 +248,8 @@ impl LightFile {
         }
     }
 
-    /// The light as a map of `width` × `height` texels (at least 1): lobes are evaluated at texel centers; a map is averaged
-    /// down where it is larger and blended where it is smaller.
+    /// The light as a map of `width` × `height` texels (at least 1): lobes are evaluated at texel
+    /// centers; a map is averaged down where it is larger and blended where it is smaller.
     pub fn to_map(&self, width: u32, height: u32) -> EnvironmentMap {
         match self {
             Self::Lobes(lobes) => render_lobes(lobes, width, height),
@@ -263,7 +266,8 @@ impl LightFile {
     /// Writes the light: lobes as `.ron` or `.npy`, a map as `.exr`.
     ///
     /// # Errors
-    /// [`Error::Usage`] for another extension; [`Error::Run`] for a number that is not finite; [`Error::Io`] when the system refuses.
+    /// [`Error::Usage`] for another extension; [`Error::Run`] for a number that is not finite;
+    /// [`Error::Io`] when the system refuses.
     pub fn write(&self, path: &Path, conventions: LightConventions) -> Result<()> {
         match (self, extension(path).as_str()) {
             (Self::Lobes(lobes), "ron") => {

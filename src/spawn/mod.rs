@@ -1,4 +1,5 @@
-//! From a scene to a world: the surface, the views, the light and the material as resources and entities.
+//! From a scene to a world: the surface, the views, the light and the material as resources and
+//! entities.
 
 pub mod light;
 
@@ -27,9 +28,11 @@ use lobelia_world::material::{
 use lobelia_world::{pipeline::Pipeline, sample::point::Scenery};
 use std::{path::Path, sync::Arc};
 
-/// Puts the scene into the pipeline's world: surface, views, light lobes, texels, the specular lobe, and what is unknown.
+/// Puts the scene into the pipeline's world: surface, views, light lobes, texels, the specular
+/// lobe, and what is unknown.
 ///
-/// `light` is the scene's own, if it names one; `others` are those of [`Views::other_lights`], if they are named.
+/// `light` is the scene's own, if it names one; `others` are those of [`Views::other_lights`], if
+/// they are named.
 ///
 /// # Errors
 /// If an albedo texture cannot be read.
@@ -139,7 +142,9 @@ pub fn unknowns(scene: &Scene) -> Unknowns {
     }
 }
 
-/// Albedo and roughness from which the base materials start that a fit may choose instead of one: what may be metal (between [metal and dielectrics](lobelia_solve::fit::metal)), and a dielectric.
+/// Albedo and roughness from which the base materials start that a fit may choose instead of one:
+/// what may be metal (between [metal and dielectrics](lobelia_solve::fit::metal)), and a
+/// dielectric.
 const METAL: (f32, f32) = (0.3, 0.25);
 const DIELECTRIC: (f32, f32) = (0.04, 0.5);
 
@@ -174,7 +179,8 @@ fn initial_gloss(
     }
 }
 
-/// The base materials that a fit may choose instead of one ([`Gloss::Auto`]), and the blend that it starts with: see [`metal`](lobelia_solve::fit::metal).
+/// The base materials that a fit may choose instead of one ([`Gloss::Auto`]), and the blend that it
+/// starts with: see [`metal`](lobelia_solve::fit::metal).
 pub fn several_materials() -> (Vec<SpecularLobe>, SpecularBlend) {
     let lobe = |(albedo, roughness)| SpecularLobe { albedo: Vec3::splat(albedo), roughness, ndf: Ndf::Ggx };
     (vec![lobe(METAL), lobe(DIELECTRIC)], SpecularBlend::even(2))
@@ -223,7 +229,8 @@ pub(crate) fn initial_specular(specular: &Specular) -> SpecularLobe {
 fn own_material(path: &Path, surface: &Surface) -> Result<(Vec<Vec3>, SpecularLobe)> {
     let material = read_material(path)?;
     let roughness = material.roughness.clamp(MIN_ROUGHNESS, 1.0);
-    // As this project writes it: a file made by other programs means GGX, but does not say what wrote it.
+    // As this project writes it: a file made by other programs means GGX, but does not say what
+    // wrote it.
     let lobe = SpecularLobe::new(Vec3::ONE, roughness);
     let albedo = material.specular_albedo(&lobe);
     let factor = material.base_color * material.diffuse_share(roughness);

@@ -1,5 +1,5 @@
-//! Cameras: whether they see one point, how they lie around the object, and whether the object turned in
-//! front of a camera that stood still.
+//! Cameras: whether they see one point, how they lie around the object, and whether the object
+//! turned in front of a camera that stood still.
 
 use crate::survey::look::{PixelBounds, ViewLook};
 use crate::survey::{Finding, Severity};
@@ -13,7 +13,8 @@ use serde::Serialize;
 const MIN_VIEWS: usize = 3;
 /// Fraction of the views that may disagree with the others; the visual hull tolerates them.
 const FORGIVEN: f64 = 0.02;
-/// Distance of the meeting point from a mask's box beyond which a view disagrees, in sizes of the box.
+/// Distance of the meeting point from a mask's box beyond which a view disagrees, in sizes of the
+/// box.
 const FAR: f32 = 0.5;
 /// Part of the object's radius within which a camera is inside the object.
 const INSIDE: f64 = 0.9;
@@ -36,7 +37,8 @@ pub(super) const BACKGROUND_SIDE: u32 = 64;
 pub(super) const BACKGROUNDS: usize = 12;
 /// Pixels that must be background in all of them.
 const LEAST_PIXELS: usize = 150;
-/// Standard deviation over the background below which it is plain, in square roots of its mean luminance.
+/// Standard deviation over the background below which it is plain, in square roots of its mean
+/// luminance.
 const PLAIN: f32 = 0.03;
 /// Correlation between backgrounds from which on they are the same.
 pub(super) const SAME: f32 = 0.85;
@@ -64,7 +66,8 @@ impl Sight {
     }
 }
 
-/// The point with the least sum of distances to all lines, so that a few wrong ones do not affect it; `None` if they are parallel.
+/// The point with the least sum of distances to all lines, so that a few wrong ones do not affect
+/// it; `None` if they are parallel.
 pub(super) fn meeting_point(sights: &[Sight]) -> Option<DVec3> {
     let base = sights.iter().map(|sight| sight.origin).sum::<DVec3>() / sights.len() as f64;
     let mut weights = vec![1.0; sights.len()];
@@ -92,8 +95,8 @@ pub(super) fn meeting_point(sights: &[Sight]) -> Option<DVec3> {
     Some(base + point)
 }
 
-/// Checks that training cameras see one point, by the rays through the centers of the masks' bounding boxes, which nearly meet in one
-/// point of the object.
+/// Checks that training cameras see one point, by the rays through the centers of the masks'
+/// bounding boxes, which nearly meet in one point of the object.
 pub(super) fn check_meeting(looks: &[ViewLook]) -> Result<()> {
     let views = || looks.iter().filter(|look| look.split == Split::Train);
     let masked: Vec<&ViewLook> = views().filter(|view| view.mask.is_some()).collect();
@@ -167,7 +170,8 @@ pub(super) fn check_meeting(looks: &[ViewLook]) -> Result<()> {
     Err(Error::usage(problem, "Correct that view's pose or mask, or leave it out with `select`."))
 }
 
-/// Distance of the projection of `point` from the mask's box, in sizes of the box; infinity behind the camera, 0 outside the frame.
+/// Distance of the projection of `point` from the mask's box, in sizes of the box; infinity behind
+/// the camera, 0 outside the frame.
 fn stray(view: &ViewLook, point: Vec3) -> f32 {
     let Some(PixelBounds { low, high }) = view.mask.as_ref().and_then(|mask| mask.bounds) else { return 0.0 };
     let Some((x, y, _)) = view.camera.project(point) else { return f32::INFINITY };
@@ -198,8 +202,8 @@ pub struct Arrangement {
 }
 
 impl Arrangement {
-    /// From the cameras of `looks` around `center` if it is known, else around the point they look at.
-    /// `None` without a camera apart from that point.
+    /// From the cameras of `looks` around `center` if it is known, else around the point they look
+    /// at. `None` without a camera apart from that point.
     pub fn new(looks: &[ViewLook], center: Option<Vec3>, up: Vec3) -> Option<Self> {
         let target = center.or_else(|| target(looks)).filter(|target| target.is_finite())?;
         let offsets: Vec<Vec3> = looks.iter().map(|look| look.camera.position() - target).collect();
@@ -261,8 +265,8 @@ fn range(values: impl Iterator<Item = f32>) -> [f32; 2] {
         .fold([f32::INFINITY, f32::NEG_INFINITY], |[least, most], value| [least.min(value), most.max(value)])
 }
 
-/// The direction along which directions vary least, on the side of `up`: the eigenvector of their covariance with the smallest
-/// eigenvalue. `None` for directions that do not span a plane.
+/// The direction along which directions vary least, on the side of `up`: the eigenvector of their
+/// covariance with the smallest eigenvalue. `None` for directions that do not span a plane.
 fn ring_axis(directions: &[Vec3], up: Vec3) -> Option<Vec3> {
     const ROUNDS: usize = 64;
     let mean = directions.iter().sum::<Vec3>() / directions.len() as f32;
@@ -316,8 +320,8 @@ pub struct Background {
     pub values: Vec<Option<f32>>,
 }
 
-/// Median correlation of each background with the mean of the others, over pixels that are background in all. `None` if they differ in
-/// size, leave too few pixels, or are plain.
+/// Median correlation of each background with the mean of the others, over pixels that are
+/// background in all. `None` if they differ in size, leave too few pixels, or are plain.
 pub(super) fn sameness(backgrounds: &[Background]) -> Option<f32> {
     let first = backgrounds.first().filter(|_| backgrounds.len() >= 3)?;
     if backgrounds.iter().any(|background| background.size != first.size) {

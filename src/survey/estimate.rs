@@ -1,8 +1,9 @@
 //! Estimates of a scene's passes: memory and time, by a plain formula.
 //!
-//! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others. Memory is meant
-//! to be no less than what is taken: whole runs took 69 to 98 % of it (`spot`, also with textures up to 2048², `sphere`,
-//! `cheburashka`, `head` and `chair`; 300 photographs of 512², 16 of 4096² and 1000 of 1 MP).
+//! Time is divided by the threads. It is good to a factor of two on the machine that was measured,
+//! and a guess on others. Memory is meant to be no less than what is taken: whole runs took 69 to
+//! 98 % of it (`spot`, also with textures up to 2048², `sphere`, `cheburashka`, `head` and `chair`;
+//! 300 photographs of 512², 16 of 4096² and 1000 of 1 MP).
 
 use crate::scene::{
     FitPass, GridLevel, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface,
@@ -17,8 +18,9 @@ use lobelia_solve::{fit::cameras::CameraUnknowns, fit::run::EARLY, shade::frame:
 use lobelia_world::{sample::Observation, sample::ObservationIndex, sample::pixel::ImageGradient};
 use serde::Serialize;
 
-/// Bytes of a pixel of a photograph in memory, in the rectangle around the object: 8-bit colors, flags, and room for an alpha that is not the mask.
-/// Downscaled and undistorted photographs and EXR take half floats, two or three bytes more.
+/// Bytes of a pixel of a photograph in memory, in the rectangle around the object: 8-bit colors,
+/// flags, and room for an alpha that is not the mask. Downscaled and undistorted photographs and
+/// EXR take half floats, two or three bytes more.
 const PHOTOGRAPH_BYTES: f64 = 4.2;
 /// Bytes of a pixel of a mask in memory; the alpha of a photograph is the same memory.
 const MASK_BYTES: f64 = 1.0;
@@ -26,46 +28,57 @@ const MASK_BYTES: f64 = 1.0;
 const MAP_BYTES: f64 = 6.0;
 /// Bytes of a pixel of a silhouette in memory: its signed distance as a half float.
 const SILHOUETTE_BYTES: f64 = 2.0;
-/// Bytes of a pixel in the pool of a fit: its columns, two ticks for each of the two, and its entity; a table that grows keeps room for
-/// more rows.
+/// Bytes of a pixel in the pool of a fit: its columns, two ticks for each of the two, and its
+/// entity; a table that grows keeps room for more rows.
 const POOL_BYTES: f64 = 1.6 * (size_of::<(ObservationIndex, Observation)>() + 2 * 8 + 52) as f64;
 /// Further bytes of a pixel in the pool, if cameras are moved.
 const GRADIENT_BYTES: f64 = 1.6 * (size_of::<ImageGradient>() + 8) as f64;
-/// Bytes of a texel: albedo, sheen, tilt and blend, what is shown, place and normal. A sphere of 1024² and 2048² texels, one small picture.
+/// Bytes of a texel: albedo, sheen, tilt and blend, what is shown, place and normal. A sphere of
+/// 1024² and 2048² texels, one small picture.
 const TEXEL_BYTES: f64 = 440.0;
-/// Bytes of a texel in a fit beside these: gradients, moments, and the tables that texels left when these came to them. Measured
-/// from 512² to 2048² texels.
+/// Bytes of a texel in a fit beside these: gradients, moments, and the tables that texels left when
+/// these came to them. Measured from 512² to 2048² texels.
 const FIT_TEXEL_BYTES: f64 = 410.0;
 /// Bytes of a texel of the finest texture, which has neither gradients nor moments.
 const FINEST_TEXEL_BYTES: f64 = 380.0;
 /// Bytes of a fit that do not depend on its size, as measured.
 const FIT_BYTES: f64 = 150e6;
-/// Bytes of a pixel while a view is scored: rendered, true, and what both are compared by. 16 views of 4096².
+/// Bytes of a pixel while a view is scored: rendered, true, and what both are compared by. 16 views
+/// of 4096².
 const SCORE_PIXEL_BYTES: f64 = 105.0;
-/// Bytes of a fit that tries several materials and refines its texture, besides its pool and texels, as measured on four sets.
+/// Bytes of a fit that tries several materials and refines its texture, besides its pool and
+/// texels, as measured on four sets.
 const DETAIL_BYTES: f64 = 250e6;
-/// Bytes of a pixel that the sweeps over the texture visit: what is kept of it, and 50 as measured on the same sets.
+/// Bytes of a pixel that the sweeps over the texture visit: what is kept of it, and 50 as measured
+/// on the same sets.
 const DETAIL_PIXEL_BYTES: f64 = 50.0 + size_of::<KeptPixel>() as f64;
-/// Bytes of a cell of a shape's grid, with its adjoints and moments, while its outlines are fitted: `spot`, 128 to 512 cells a side.
+/// Bytes of a cell of a shape's grid, with its adjoints and moments, while its outlines are fitted:
+/// `spot`, 128 to 512 cells a side.
 const CELL_BYTES: f64 = 24.0;
-/// Bytes of a cell of the lattice of albedo, of which those near the surface have texels: the same with 64 and 256 cells a side.
+/// Bytes of a cell of the lattice of albedo, of which those near the surface have texels: the same
+/// with 64 and 256 cells a side.
 const LATTICE_BYTES: f64 = 135.0;
-/// Bytes of a found mesh and of what is made to intersect it, per square of the cells on a side: about six triangles.
+/// Bytes of a found mesh and of what is made to intersect it, per square of the cells on a side:
+/// about six triangles.
 const MESH_BYTES: f64 = 9e3;
 /// Bytes of the program itself.
 const BASE_BYTES: f64 = 100e6;
 /// Reading a pixel of a PNG: 100 views of 800² in 3.2 s on two cores.
 const DECODE_NANOS: f64 = 100.0;
-/// A pair of pixel and lobe in a step of a fit: `scenes/spot.ron` without shadows, 1 200 steps in 13 s on two cores.
+/// A pair of pixel and lobe in a step of a fit: `scenes/spot.ron` without shadows, 1 200 steps in
+/// 13 s on two cores.
 pub(super) const FIT_PAIR_NANOS: f64 = 27.0;
-/// A pixel of the pool before the first step of a fit: choosing, tracing, and two initializations. `scenes/spot.ron`, ten steps.
+/// A pixel of the pool before the first step of a fit: choosing, tracing, and two initializations.
+/// `scenes/spot.ron`, ten steps.
 const FIT_START_NANOS: f64 = 16_000.0;
-/// A pixel that the detail of a texture is solved for from, in all sweeps: `chair`, 0.44 times what it took while each of three sweeps shaded it,
-/// 110 s for 11 million pixels in one thread.
+/// A pixel that the detail of a texture is solved for from, in all sweeps: `chair`, 0.44 times what
+/// it took while each of three sweeps shaded it, 110 s for 11 million pixels in one thread.
 const DETAIL_PIXEL_NANOS: f64 = 4400.0;
-/// A fit that tries several materials, moves vertices and refines its texture takes this many times as long.
+/// A fit that tries several materials, moves vertices and refines its texture takes this many times
+/// as long.
 const DETAIL_FACTOR: f64 = 3.0;
-/// A pixel in a step of a shape, with all that comes before and after the steps: on two cores `spot` takes 48 s, `chair` 157 s.
+/// A pixel in a step of a shape, with all that comes before and after the steps: on two cores
+/// `spot` takes 48 s, `chair` 157 s.
 const SHAPE_PIXEL_NANOS: f64 = 35_000.0;
 /// A ray of the visibility: 108 789 texels in 512 directions in 7.0 s on two cores.
 const RAY_NANOS: f64 = 250.0;
@@ -75,9 +88,11 @@ const FILM_REFINED: f64 = 0.2;
 const FILM_PIXEL_BYTES: f64 = 12.0;
 /// A pair of pixel sample and lobe in a frame.
 const RENDER_PAIR_NANOS: f64 = 8.0;
-/// A pixel sample of the object in a frame, with tracing and gathering: a sphere in 2048² and 4096² pixels.
+/// A pixel sample of the object in a frame, with tracing and gathering: a sphere in 2048² and 4096²
+/// pixels.
 const SAMPLE_NANOS: f64 = 1_700.0;
-/// Encoding and writing a pixel of a picture with all its layers: the same, as small as a few pixels.
+/// Encoding and writing a pixel of a picture with all its layers: the same, as small as a few
+/// pixels.
 const PICTURE_PIXEL_NANOS: f64 = 1_700.0;
 /// Scoring a pixel of a view, with its part of the contact sheet: ten views of 256².
 const SCORE_PIXEL_NANOS: f64 = 3_000.0;
@@ -151,7 +166,8 @@ pub(crate) fn duration(seconds: f64) -> String {
     }
 }
 
-/// Part of the width that a level's cells must have in photographs from which on it counts: the grid is not exactly as wide as the object.
+/// Part of the width that a level's cells must have in photographs from which on it counts: the
+/// grid is not exactly as wide as the object.
 const NEARLY: f32 = 0.9;
 
 /// Estimates memory and time of the passes of `scene` for these views on so many threads.
@@ -277,7 +293,8 @@ impl Task<'_> {
         if !fit.detail {
             return self.part(&fit.name, bytes, start + pairs * FIT_PAIR_NANOS, false);
         }
-        // Width of a texel in pixels. A view shows about a quarter of the surface: the mean projected area of a convex object (Cauchy).
+        // Width of a texel in pixels. A view shows about a quarter of the surface: the mean
+        // projected area of a convex object (Cauchy).
         let mut areas: Vec<f32> = self.train().filter_map(ViewLook::object_pixels).collect();
         let wide = median(&mut areas).map(|area| (4.0 * area / (ATLAS_FILL * self.texels() as f32)).sqrt());
         let wide = wide.unwrap_or(1.0).round().max(1.0);
@@ -312,7 +329,8 @@ impl Task<'_> {
         self.part(name, largest * SCORE_PIXEL_BYTES, scored * SCORE_PIXEL_NANOS, false)
     }
 
-    /// The levels that photographs of this size resolve, as far as their masks tell; a level that is nearly resolved counts.
+    /// The levels that photographs of this size resolve, as far as their masks tell; a level that
+    /// is nearly resolved counts.
     fn resolved<'a>(&self, levels: &'a [GridLevel]) -> &'a [GridLevel] {
         let widths = self.train().filter_map(object_sides);
         let mut widths: Vec<f32> = widths.map(|[x, y]| x.max(y)).collect();

@@ -1,4 +1,5 @@
-//! The part of a view that a survey keeps: a few numbers and a small mask, so that a thousand views fit into little memory.
+//! The part of a view that a survey keeps: a few numbers and a small mask, so that a thousand views
+//! fit into little memory.
 
 use lobelia_geometry::view::raster::FULL_COVERAGE;
 use lobelia_geometry::view::{Camera, Mask, Photograph, Placement, Split, ViewRecord};
@@ -42,7 +43,8 @@ pub struct ViewLook {
     pub mask_source: MaskOrigin,
     /// The mask, unless there is none.
     pub mask: Option<MaskLook>,
-    /// Intersection over union of the mask with the silhouette of the known mesh, or of the visual hull of all masks; set by a survey.
+    /// Intersection over union of the mask with the silhouette of the known mesh, or of the visual
+    /// hull of all masks; set by a survey.
     pub overlap: Option<f32>,
     /// Exposure above that of views from nearly the same side, in stops; set by a survey.
     pub stops: Option<f32>,
@@ -53,7 +55,8 @@ pub struct ViewLook {
 pub struct RadianceStatistics {
     /// Median luminance.
     pub median: f32,
-    /// Mean luminance, that of each pixel at most four times the median: less than highlights, more than a median of two colors.
+    /// Mean luminance, that of each pixel at most four times the median: less than highlights, more
+    /// than a median of two colors.
     pub level: f32,
     /// Luminance that a hundredth of the pixels exceed.
     pub bright: f32,
@@ -74,7 +77,8 @@ pub struct MaskLook {
     pub all_covered: bool,
     /// Share of the pixels along the border of the frame that are covered, in `[0, 1]`.
     pub border: f32,
-    /// First and one past the last covered column and row, in pixels of the camera that was looked at; `None` if nothing is covered.
+    /// First and one past the last covered column and row, in pixels of the camera that was looked
+    /// at; `None` if nothing is covered.
     pub bounds: Option<PixelBounds>,
     /// The mask at most `SMALL_MASK_SIDE` pixels wide and high; not serialized.
     #[serde(skip)]
@@ -95,7 +99,8 @@ pub struct PixelBounds {
 pub struct SmallMask {
     /// The camera, for this size.
     pub camera: Camera,
-    /// Width and height of the photograph's frame in pixels of this size; the last column and row may lie beyond it in part.
+    /// Width and height of the photograph's frame in pixels of this size; the last column and row
+    /// may lie beyond it in part.
     pub frame: [f32; 2],
     /// Whether each pixel is covered, row by row from the top left.
     pub inside: Vec<bool>,
@@ -119,7 +124,8 @@ impl ViewLook {
         }
     }
 
-    /// A view of which no pixel is looked at: its size and whether there is a photograph are known, its light is 0.
+    /// A view of which no pixel is looked at: its size and whether there is a photograph are known,
+    /// its light is 0.
     pub fn unseen(record: &ViewRecord) -> Self {
         Self {
             name: record.name.clone(),
@@ -208,7 +214,8 @@ impl MaskLook {
 }
 
 impl SmallMask {
-    /// A mask and its camera, shrunk by a whole factor until neither side is over `side`; a pixel is covered if most of its block is.
+    /// A mask and its camera, shrunk by a whole factor until neither side is over `side`; a pixel
+    /// is covered if most of its block is.
     fn of(mask: &Mask, camera: &Camera, frame: [f32; 2], side: u32) -> Self {
         let factor = mask.width.max(mask.height).div_ceil(side).max(1);
         let small = mask.downscaled(factor);

@@ -1,7 +1,8 @@
 //! The survey of a data set before a run: its contents, and what of it cannot work.
 //!
-//! Each view is read once, small, and reduced to a [`ViewLook`]: a few numbers and a small mask. The rest are pure functions
-//! of looks, in seconds for a hundred views, with the same result at every run.
+//! Each view is read once, small, and reduced to a [`ViewLook`]: a few numbers and a small mask.
+//! The rest are pure functions of looks, in seconds for a hundred views, with the same result at
+//! every run.
 //!
 //! | module | holds |
 //! | --- | --- |
@@ -121,8 +122,8 @@ pub struct Survey {
     /// How much the backgrounds are alike (correlation), if they are not plain.
     #[serde(rename = "background_correlation")]
     pub background: Option<f32>,
-    /// Training views, then test views, each in natural order of their names; a name that both splits have
-    /// is written `train/NAME` or `test/NAME`.
+    /// Training views, then test views, each in natural order of their names; a name that both
+    /// splits have is written `train/NAME` or `test/NAME`.
     #[serde(rename = "views")]
     pub looks: Vec<ViewLook>,
 }
@@ -152,8 +153,9 @@ impl Survey {
     }
 }
 
-/// Finds problems of views of `mesh`, the object in the coordinates of the cameras, or of an object whose shape is to be found from
-/// the masks. `up` is the data's up direction; `backgrounds` are those of some photographs, before masks make them black.
+/// Finds problems of views of `mesh`, the object in the coordinates of the cameras, or of an object
+/// whose shape is to be found from the masks. `up` is the data's up direction; `backgrounds` are
+/// those of some photographs, before masks make them black.
 pub fn examine(looks: Vec<ViewLook>, mesh: Option<&Mesh>, up: Vec3, backgrounds: &[Background]) -> Survey {
     let bvh = mesh.filter(|mesh| !mesh.triangles.is_empty()).map(TriangleBvh::new);
     let mut survey = Survey { looks, has_mesh: bvh.is_some(), ..Survey::default() };
@@ -170,7 +172,8 @@ pub fn examine(looks: Vec<ViewLook>, mesh: Option<&Mesh>, up: Vec3, backgrounds:
     }
     let center = bvh.map(|bvh| bvh.bounding_sphere().0);
     survey.arrangement = Arrangement::new(&survey.looks, center, up);
-    // An error about no view in particular is one of the poses, which then say nothing about neighbors.
+    // An error about no view in particular is one of the poses, which then say nothing about
+    // neighbors.
     let poses_are_right = !survey.findings_of(Severity::Error).any(|error| error.views.is_empty());
     if let Some(arrangement) = survey.arrangement.as_ref().filter(|_| poses_are_right) {
         let directions = arrangement.directions(&survey.looks);

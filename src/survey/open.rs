@@ -1,4 +1,5 @@
-//! Reading a scene's data for a survey: every view once, small, with few of them in memory at a time.
+//! Reading a scene's data for a survey: every view once, small, with few of them in memory at a
+//! time.
 
 use crate::scene::{Dataset, Pass, Scene, Surface, ViewChoice, Views};
 use crate::survey::cameras::{BACKGROUND_SIDE, BACKGROUNDS, Background};
@@ -28,8 +29,8 @@ pub struct OpenScene<'a> {
 }
 
 impl<'a> OpenScene<'a> {
-    /// Opens the splits that a pass needs, so that a data set without one is an error, and those that are there; `None` if the scene's
-    /// views are no data set.
+    /// Opens the splits that a pass needs, so that a data set without one is an error, and those
+    /// that are there; `None` if the scene's views are no data set.
     ///
     /// # Errors
     /// Errors of [`open_dataset`], or if the layout of the data cannot be determined.
@@ -99,11 +100,13 @@ impl<'a> OpenScene<'a> {
     }
 }
 
-/// Surveys the data set of a scene; `None` if its views are not a data set. Of each view that is read a few numbers are kept, and its
-/// record without the pixels of the photograph, and without the mask unless the surface is made of it.
+/// Surveys the data set of a scene; `None` if its views are not a data set. Of each view that is
+/// read a few numbers are kept, and its record without the pixels of the photograph, and without
+/// the mask unless the surface is made of it.
 ///
 /// # Errors
-/// Errors of [`OpenScene::new`]; the first, in the order of the views, of reading photographs and masks; errors of reading the mesh.
+/// Errors of [`OpenScene::new`]; the first, in the order of the views, of reading photographs and
+/// masks; errors of reading the mesh.
 pub fn survey(scene: &Scene) -> Result<Option<(Survey, Vec<ViewRecord>)>> {
     let Some(open) = OpenScene::new(scene)? else { return Ok(None) };
     let needs_masks = matches!(scene.surface, Surface::Unknown { .. });
@@ -136,7 +139,8 @@ fn backgrounds(planned: &[PlannedView], looks: &[ViewLook], gamma: Gamma) -> Res
     Ok(read.into_iter().collect::<Result<Vec<_>>>()?.into_iter().flatten().collect())
 }
 
-/// A photograph as its file has it, without the object and a pixel around it; `None` if it has alpha.
+/// A photograph as its file has it, without the object and a pixel around it; `None` if it has
+/// alpha.
 fn background(view: &PlannedView, mask: &SmallMask, gamma: Gamma) -> Result<Option<Background>> {
     let Some(path) = &view.plan.image else { return Ok(None) };
     let loaded = read_image(path, gamma, Orientation::AsStored)?;

@@ -1,4 +1,5 @@
-//! Findings about photographs and masks alone: black or differently exposed photographs; dim, inverted or missing masks.
+//! Findings about photographs and masks alone: black or differently exposed photographs; dim,
+//! inverted or missing masks.
 
 use crate::survey::look::{MaskLook, ViewLook};
 use crate::survey::{Finding, Severity, counted, named};
@@ -11,17 +12,20 @@ use std::collections::BTreeMap;
 const BLACK: f32 = 1e-3;
 /// Highest coverage below which a mask never says that a pixel is the object's.
 const DIM: f32 = 0.9;
-/// Share of the frame's border that an inverted mask covers, and share of the frame that it leaves out.
+/// Share of the frame's border that an inverted mask covers, and share of the frame that it leaves
+/// out.
 const BORDER: f32 = 0.95;
 const LEFT_OUT: f32 = 0.03;
 /// Views that a view is compared with, and the least number of views for that.
 const NEIGHBORS: usize = 6;
 const LEAST_VIEWS: usize = 8;
-/// Stops from which on a view beside neighbors within `NEAR_DEGREES` is an outlier; `FAR_STOPS` beside others.
+/// Stops from which on a view beside neighbors within `NEAR_DEGREES` is an outlier; `FAR_STOPS`
+/// beside others.
 const STOPS: f32 = 1.5;
 const FAR_STOPS: f32 = 2.5;
 const NEAR_DEGREES: f32 = 35.0;
-/// Standard deviations of the usual difference that an outlier exceeds, and the least deviation, stops.
+/// Standard deviations of the usual difference that an outlier exceeds, and the least deviation,
+/// stops.
 const SIGMAS: f32 = 5.0;
 const LEAST_SIGMA: f32 = 0.1;
 /// Factor from the median absolute deviation to the standard deviation of a normal distribution.
@@ -82,7 +86,8 @@ fn inverted(looks: &[ViewLook]) -> Option<Finding> {
     is_there.then(|| Finding::new(severity, "inverted-masks", views, problem, help))
 }
 
-/// Views without masks. Where no view has one, that is a warning beside a mesh, and an error of the cameras without a mesh.
+/// Views without masks. Where no view has one, that is a warning beside a mesh, and an error of the
+/// cameras without a mesh.
 fn missing(looks: &[ViewLook], has_mesh: bool) -> Option<Finding> {
     let without = || looks.iter().filter(|look| look.mask.is_none() && look.light.is_some());
     let has_none = masked(looks).next().is_none();
@@ -101,8 +106,9 @@ fn missing(looks: &[ViewLook], has_mesh: bool) -> Option<Finding> {
     Some(Finding::new(Severity::Warning, "missing-masks", views, problem, help))
 }
 
-/// Compares the exposure of each view with that of views of the same placement from nearly the same side: sets [`ViewLook::stops`], and
-/// names outliers. `directions` are those of the cameras from the object; views with another fault (`spoiled`) are left out.
+/// Compares the exposure of each view with that of views of the same placement from nearly the same
+/// side: sets [`ViewLook::stops`], and names outliers. `directions` are those of the cameras from
+/// the object; views with another fault (`spoiled`) are left out.
 pub(super) fn of_exposure(looks: &mut [ViewLook], directions: &[Vec3], spoiled: &[bool]) -> Option<Finding> {
     let level = |look: &ViewLook| look.light.map(|light| light.level).filter(|level| *level > 0.0);
     let mut by_placement: BTreeMap<Placement, Vec<(usize, f32)>> = BTreeMap::new();
@@ -146,7 +152,8 @@ pub(super) fn of_exposure(looks: &mut [ViewLook], directions: &[Vec3], spoiled: 
     Some(Finding::new(Severity::Warning, "exposure", views, problem, help))
 }
 
-/// For each unit direction, the indices of the `count` nearest others, the nearest first; equal distances are ordered by index.
+/// For each unit direction, the indices of the `count` nearest others, the nearest first; equal
+/// distances are ordered by index.
 fn neighbors(directions: &[Vec3], count: usize) -> Vec<Vec<usize>> {
     let nearest = |i: usize| {
         let mut others: Vec<usize> = (0..directions.len()).filter(|&k| k != i).collect();

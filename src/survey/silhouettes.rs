@@ -1,5 +1,6 @@
-//! Masks beside silhouettes: those of a known mesh, or of the visual hull of all masks. Where they disagree, the usual
-//! mistakes with cameras, photographs and meshes are undone one at a time, and the one after which they agree is named.
+//! Masks beside silhouettes: those of a known mesh, or of the visual hull of all masks. Where they
+//! disagree, the usual mistakes with cameras, photographs and meshes are undone one at a time, and
+//! the one after which they agree is named.
 
 use crate::survey::look::{SmallMask, ViewLook};
 use crate::survey::{Finding, Severity, named};
@@ -10,26 +11,31 @@ use lobelia_sg::statistics::median;
 use lobelia_solve::{shape::hull::visual_hull, shape::silhouette::Silhouette};
 use rayon::prelude::*;
 
-/// Overlap (intersection over union) with a mesh, and with a hull, from which on no mistake is looked for. Seven sound sets of 32 to
-/// 100 views have 0.94 to 0.98 with their hulls; mirrored photographs of the six that are not symmetric 0.53 to 0.73.
+/// Overlap (intersection over union) with a mesh, and with a hull, from which on no mistake is
+/// looked for. Seven sound sets of 32 to 100 views have 0.94 to 0.98 with their hulls; mirrored
+/// photographs of the six that are not symmetric 0.53 to 0.73.
 const AGREES: f32 = 0.97;
 const HULL_AGREES: f32 = 0.9;
-/// Overlap that the undoing of a mistake must reach, and the part of the disagreement (1 − overlap) that it may leave.
+/// Overlap that the undoing of a mistake must reach, and the part of the disagreement (1 − overlap)
+/// that it may leave.
 const EXPLAINS: f32 = 0.9;
 const LEFT: f32 = 0.5;
-/// Overlaps this close are equally good, or this part of the disagreement: the likelier mistake is named.
+/// Overlaps this close are equally good, or this part of the disagreement: the likelier mistake is
+/// named.
 const TIE: f32 = 0.02;
 const TIE_SHARE: f32 = 0.1;
 /// Overlap from which on silhouettes are those of the photographs, and below which they are not.
 const COVERS: f32 = 0.75;
 const MISSES: f32 = 0.6;
-/// Difference from the median overlap from which on a view is named. Sound sets have 0.11 at most with hulls of 32 views, and 0.04 with
-/// more; two exchanged photographs have 0.16 to 0.5, neighbors of `dino` 0.08.
+/// Difference from the median overlap from which on a view is named. Sound sets have 0.11 at most
+/// with hulls of 32 views, and 0.04 with more; two exchanged photographs have 0.16 to 0.5,
+/// neighbors of `dino` 0.08.
 const STRAY_BY: f32 = 0.12;
 /// Views that make the hull, and cells a side of it.
 const VOTERS: usize = 96;
 const CELLS: u32 = 64;
-/// Views that mistakes are tried on, and pixels a side for those that are far from covering the mesh.
+/// Views that mistakes are tried on, and pixels a side for those that are far from covering the
+/// mesh.
 const TRIED_VIEWS: usize = 10;
 const TRIED_SIDE: u32 = 40;
 const FINE_SIDE: u32 = 96;
@@ -74,7 +80,8 @@ enum Shape<'a> {
 }
 
 impl<'a> Shape<'a> {
-    /// The mesh if it is known, else the hull of masks with the names of their views, of `cells` cells a side.
+    /// The mesh if it is known, else the hull of masks with the names of their views, of `cells`
+    /// cells a side.
     fn new<'b>(
         mesh: Option<&'a TriangleBvh>,
         masks: impl Iterator<Item = (&'b str, &'b SmallMask)>,
@@ -107,8 +114,9 @@ impl<'a> Shape<'a> {
     }
 }
 
-/// Compares silhouettes of the mesh, or of the hull of all masks, with the masks of all views: sets [`ViewLook::overlap`], and says what
-/// does not agree. `complaint` is an error of the cameras alone, told unless a mistake explains it.
+/// Compares silhouettes of the mesh, or of the hull of all masks, with the masks of all views: sets
+/// [`ViewLook::overlap`], and says what does not agree. `complaint` is an error of the cameras
+/// alone, told unless a mistake explains it.
 pub(super) fn of_silhouettes(
     mesh: Option<&TriangleBvh>,
     looks: &mut [ViewLook],
@@ -350,7 +358,8 @@ fn tried(looks: &[ViewLook], most: usize, side: u32) -> Vec<SmallMask> {
     choose_evenly(masks.len(), most).into_iter().map(|i| masks[i].at_most(side)).collect()
 }
 
-/// The 24 turns that map axes to axes, the identity first, then those that exchange the two usual up directions.
+/// The 24 turns that map axes to axes, the identity first, then those that exchange the two usual
+/// up directions.
 fn turns() -> Vec<Mat3A> {
     let axes = [Vec3A::X, Vec3A::Y, Vec3A::Z].map(|axis| [axis, -axis]).concat();
     let all = axes.iter().flat_map(|x| axes.iter().map(|y| Mat3A::from_cols(*x, *y, x.cross(*y))));
@@ -360,8 +369,9 @@ fn turns() -> Vec<Mat3A> {
     turns
 }
 
-/// Size and place that make the silhouettes of a mesh, turned by `turn`, agree with the masks in center and size. `None` if
-/// masks do not determine a place, the mesh is never in sight, or nothing is wrong with size and place.
+/// Size and place that make the silhouettes of a mesh, turned by `turn`, agree with the masks in
+/// center and size. `None` if masks do not determine a place, the mesh is never in sight, or
+/// nothing is wrong with size and place.
 fn placed(bvh: &TriangleBvh, views: &[SmallMask], turn: Mat3A) -> Option<Undoing> {
     let (target, size) = place(views.iter().filter_map(|view| spot(view, &view.inside)))?;
     let (center, radius) = bvh.bounding_sphere();
@@ -380,7 +390,8 @@ fn placed(bvh: &TriangleBvh, views: &[SmallMask], turn: Mat3A) -> Option<Undoing
         shift = (shift - seen) * factor + target;
         scale *= factor;
     }
-    // The size is measured; what is meant is a ratio of units, or none. The place of the mesh's middle stays.
+    // The size is measured; what is meant is a ratio of units, or none. The place of the mesh's
+    // middle stays.
     let near = |ratio: f32, slack: f32| (scale / ratio - 1.0).abs() < slack;
     let one = near(1.0, ONE_SLACK).then_some(1.0);
     let mut ratios = UNITS.iter().flat_map(|(ratio, _)| [*ratio, 1.0 / ratio]);
@@ -392,7 +403,8 @@ fn placed(bvh: &TriangleBvh, views: &[SmallMask], turn: Mat3A) -> Option<Undoing
     (is_sound && is_other).then_some(Undoing::Mesh { turn, scale: meant, shift })
 }
 
-/// The ray through the center of a silhouette, and the root of its area as an angle; `None` if nothing is covered.
+/// The ray through the center of a silhouette, and the root of its area as an angle; `None` if
+/// nothing is covered.
 fn spot(view: &SmallMask, inside: &[bool]) -> Option<(Sight, f32)> {
     let width = view.camera.width as usize;
     let pixels = || (0..inside.len()).filter(|i| inside[*i]);

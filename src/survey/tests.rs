@@ -635,7 +635,8 @@ fn more_work_takes_more_time_and_memory() {
     assert!(of("Fit()", 2).bytes() > of("", 2).bytes());
     let names: Vec<&str> = long.parts.iter().map(|part| part.what.as_str()).collect();
     assert_eq!(names, ["photographs", "texels", "shadows", "fit", "novel"]);
-    // Everything is linear in what it says it is: half of the steps, before the first milestone, visit half of the pixels.
+    // Everything is linear in what it says it is: half of the steps, before the first milestone,
+    // visit half of the pixels.
     let pairs = f64::from(FitPass::default().batch) * 900.0 * 0.75 * 64.0;
     let fit = |estimate: &Estimate| estimate.parts.iter().find(|part| part.what == "fit").unwrap().seconds;
     let longer = fit(&long) - fit(&short);

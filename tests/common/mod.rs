@@ -100,7 +100,8 @@ pub fn shoot(pipeline: &mut Pipeline, camera: Camera) -> Frame {
     resolve(&render_frame(pipeline, camera, 4).unwrap())
 }
 
-/// Training photographs of what `truth` shows, by `count` cameras around it; `change` gets the number of each and its frame.
+/// Training photographs of what `truth` shows, by `count` cameras around it; `change` gets the
+/// number of each and its frame.
 pub fn photographs_of(
     truth: &mut Pipeline,
     count: usize,
@@ -131,7 +132,8 @@ pub const TRAIN: [[f32; 3]; 6] = [
 /// Where the test cameras are.
 pub const TEST: [[f32; 3]; 2] = [[0.7, 0.5, 0.8], [-0.5, 0.3, -0.9]];
 
-/// A folder of data and results, which goes when this is dropped, or stays for the next run of the tests if it is shared.
+/// A folder of data and results, which goes when this is dropped, or stays for the next run of the
+/// tests if it is shared.
 pub struct Data {
     root: PathBuf,
     _folder: Option<TempDir>,
@@ -159,7 +161,8 @@ impl Data {
         Self { root: folder.path().to_owned(), _folder: Some(folder) }
     }
 
-    /// A PhySG data set: photographs of the studio; also the truth of the test views and two lights.
+    /// A PhySG data set: photographs of the studio; also the truth of the test views and two
+    /// lights.
     pub fn new() -> Self {
         Self::bare().with_studio()
     }
@@ -204,7 +207,8 @@ impl Data {
         }
     }
 
-    /// Takes the photographs of both splits again, of what this pipeline shows, by cameras at these directions.
+    /// Takes the photographs of both splits again, of what this pipeline shows, by cameras at these
+    /// directions.
     pub fn photograph(&self, studio: &mut Pipeline, camera: impl Fn([f32; 3]) -> Camera) {
         for (split, views) in [("train", &TRAIN[..]), ("test", &TEST)] {
             let (folder, mut cameras) = (self.path(split), Map::new());
@@ -239,7 +243,8 @@ impl Data {
         path
     }
 
-    /// Writes a COLMAP model of photographs in `colmap/images`, all seen by one camera from one place.
+    /// Writes a COLMAP model of photographs in `colmap/images`, all seen by one camera from one
+    /// place.
     pub fn write_colmap(&self, names: &[&str], focal: f32) {
         let lines: Vec<String> = names.iter().map(|name| format!("1 1 0 0 0 0 0 2.8 1 {name}\n\n")).collect();
         self.write("colmap/sparse/0/images.txt", lines.concat());
@@ -353,7 +358,8 @@ impl Data {
         pass::run(&loaded, &run, progress)
     }
 
-    /// Opens the object that `Save` wrote in a run, and expects the same pictures of `novel`, which come to `again`.
+    /// Opens the object that `Save` wrote in a run, and expects the same pictures of `novel`, which
+    /// come to `again`.
     #[track_caller]
     pub fn reopens(&self, out: &str) {
         self.run_file(&format!("{out}/saved/scene.ron"), "again", &["--quiet", "--force"]).succeeded();
@@ -531,7 +537,8 @@ pub struct AtWork {
 }
 
 impl AtWork {
-    /// Starts a run of `scene.ron`, which a signal stops also where the tests themselves ignore it, as after `nohup`.
+    /// Starts a run of `scene.ron`, which a signal stops also where the tests themselves ignore it,
+    /// as after `nohup`.
     pub fn begin(data: &Data, arguments: &[&str]) -> Self {
         let by: &[&str] = if cfg!(target_os = "linux") { &["env", "--default-signal=INT,HUP"] } else { &[] };
         Self::begin_by(data, by, arguments)
@@ -594,7 +601,8 @@ impl AtWork {
         }
     }
 
-    /// Sends it a signal, by name; SIGTERM if nothing else matters, for a program in the background may inherit that the others are ignored.
+    /// Sends it a signal, by name; SIGTERM if nothing else matters, for a program in the background
+    /// may inherit that the others are ignored.
     #[cfg(unix)]
     pub fn signal(&self, name: &str) {
         let id = self.child.id().to_string();

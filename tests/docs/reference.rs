@@ -1,4 +1,5 @@
-//! `docs/src/reference.md`: every word of a scene file, from the doc comments of the types that serde reads it into.
+//! `docs/src/reference.md`: every word of a scene file, from the doc comments of the types that
+//! serde reads it into.
 
 use super::{anchor, files_with, repository};
 use std::fmt::Write as _;
@@ -10,7 +11,8 @@ use syn::{
 /// The folders of the types, whose names are unique among those that serde reads.
 const SOURCES: [&str; 2] = ["src", "crates"];
 
-/// The generated pages, and the type that each begins with. What stands above the list of types is written by hand.
+/// The generated pages, and the type that each begins with. What stands above the list of types is
+/// written by hand.
 const PAGES: [(&str, &str); 2] = [("Scene", "reference.md"), ("Pass", "reference-passes.md")];
 
 #[test]
@@ -150,7 +152,8 @@ impl Library {
         })
     }
 
-    /// The default of a field as a scene file would write it, if it has one: `Some(None)` if it is too complicated.
+    /// The default of a field as a scene file would write it, if it has one: `Some(None)` if it is
+    /// too complicated.
     fn default_of(&self, found: Found, field: &Field) -> Option<Option<String>> {
         let function = argument(&field.attrs, "serde", "default");
         if let Some(Some(path)) = &function {
@@ -289,7 +292,8 @@ fn plain(value: &str) -> String {
     value.replace([' ', '_'], "").replace(".0,", ",").replace(".0)", ")")
 }
 
-/// The type `name` with the index of its page, and all types that it uses, each before what it uses itself.
+/// The type `name` with the index of its page, and all types that it uses, each before what it uses
+/// itself.
 fn collect<'a>(library: &'a Library, name: &str, sections: &mut Vec<(Found<'a>, usize)>) {
     let Some(found) = library.find(name) else { return };
     if sections.iter().any(|(section, _)| section.name == name) {
@@ -418,7 +422,8 @@ impl Page<'_> {
         Some(format!("[`{name}`]({file}#{})", anchor(name)))
     }
 
-    /// A doc comment with rustdoc's links turned into links of this page, or into the values of constants.
+    /// A doc comment with rustdoc's links turned into links of this page, or into the values of
+    /// constants.
     fn linked(&self, found: Found, docs: &str) -> String {
         let mut parts = docs.split("[`");
         let mut out = parts.next().unwrap_or_default().to_owned();

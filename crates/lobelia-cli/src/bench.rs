@@ -1,4 +1,5 @@
-//! `lobelia bench`: how long one point × light lobe takes, forward and with its adjoint, on this machine.
+//! `lobelia bench`: how long one point × light lobe takes, forward and with its adjoint, on this
+//! machine.
 //!
 //! A [`Workload`] is shaded. A kernel is run again and again for its share of the time; the least
 //! time counts, because other work of the machine can only make a run longer.
@@ -21,13 +22,15 @@ const EXAMPLES: &str = include_str!("help/bench.txt").trim_ascii_end();
 
 /// Measures how long shading takes per point and light lobe on this machine, in about a minute.
 ///
-/// Needs no data: points look in all directions, lobes lie evenly around them with sharpness 20 to some 300. Two
-/// kernels are timed: `forward` computes radiance, as rendering does; `forward+adjoint` is what a step of a fit adds,
-/// radiance again and the gradient with respect to light, material, albedo and normal. A number is the time of a whole
-/// batch over points × lobes, with all threads together: the least of many repetitions, since other programs can only
-/// make a repetition longer. Multiply by the pixels of a batch and by the lobes to know what a step costs.
+/// Needs no data: points look in all directions, lobes lie evenly around them with sharpness 20 to
+/// some 300. Two kernels are timed: `forward` computes radiance, as rendering does;
+/// `forward+adjoint` is what a step of a fit adds, radiance again and the gradient with respect to
+/// light, material, albedo and normal. A number is the time of a whole batch over points × lobes,
+/// with all threads together: the least of many repetitions, since other programs can only make a
+/// repetition longer. Multiply by the pixels of a batch and by the lobes to know what a step costs.
 ///
-/// `simd` is the instruction set the kernels chose; `skipped` is the part of the pairs that a mode leaves out.
+/// `simd` is the instruction set the kernels chose; `skipped` is the part of the pairs that a mode
+/// leaves out.
 #[derive(Args, Debug)]
 #[command(
     about = "Measure how long shading takes per point and light lobe on this machine, in about a minute",
@@ -47,7 +50,8 @@ pub struct BenchArgs {
     /// Time for all measurements together, in seconds
     #[arg(long, value_name = "S", default_value_t = 50.0, value_parser = seconds)]
     seconds: f64,
-    /// Measure a graphics adapter as well, the first or that whose name has this in it; a program built with the feature `gpu` can
+    /// Measure a graphics adapter as well, the first or that whose name has this in it; a program
+    /// built with the feature `gpu` can
     #[arg(long, value_name = "NAME", num_args = 0..=1, default_missing_value = "gpu")]
     gpu: Option<String>,
     /// Write the rows to this file too
@@ -65,7 +69,8 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// A mode: its name, its closed form, the NDF of its material.
 type Mode = (&'static str, ClosedForm, Ndf);
 
-/// Shading modes that are measured, each with its name on a graphics adapter. A further mode is one more line.
+/// Shading modes that are measured, each with its name on a graphics adapter. A further mode is one
+/// more line.
 const MODES: [(Mode, &str); 4] = [
     (("published", ClosedForm::Published, Ndf::Sg), "published-gpu"),
     (("accurate", ClosedForm::Accurate(Quality::Default), Ndf::Sg), "accurate-gpu"),
@@ -87,7 +92,8 @@ struct BenchRow {
     roughness: f32,
     /// Radiance: nanoseconds per point × lobe, least of all repetitions.
     forward_ns: f64,
-    /// The gradient's kernel, which computes the radiance again and the adjoint of everything: likewise.
+    /// The gradient's kernel, which computes the radiance again and the adjoint of everything:
+    /// likewise.
     forward_adjoint_ns: f64,
     /// How often each kernel was run.
     repetitions: [usize; 2],
@@ -189,7 +195,8 @@ fn check_file(path: &Path) -> Result<()> {
     check_writable(path.parent().unwrap_or(Path::new("")))
 }
 
-/// Least time of the forward and of the adjoint kernel for the whole batch, and how often each was run.
+/// Least time of the forward and of the adjoint kernel for the whole batch, and how often each was
+/// run.
 fn time_kernels(
     loops: &dyn PairLoops,
     form: ClosedForm,
@@ -210,7 +217,8 @@ fn time_kernels(
     Ok([forward, adjoint])
 }
 
-/// Runs `kernel` until `budget` is spent, and once more than once at least: the first run finds cold caches.
+/// Runs `kernel` until `budget` is spent, and once more than once at least: the first run finds
+/// cold caches.
 fn least_time(budget: Duration, mut kernel: impl FnMut() -> Result<(), String>) -> Result<(Duration, usize)> {
     let started = Instant::now();
     let (mut least, mut repetitions) = (Duration::MAX, 0);

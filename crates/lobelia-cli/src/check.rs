@@ -27,7 +27,8 @@ pub struct CheckArgs {
     out: Option<PathBuf>,
     #[command(flatten)]
     threads: ThreadArgs,
-    /// Memory that a run would have to keep to: 8GiB, 500MiB [default: three quarters of what a process may have]
+    /// Memory that a run would have to keep to: 8GiB, 500MiB [default: three quarters of what a
+    /// process may have]
     #[arg(long, value_name = "SIZE", value_parser = lobelia::pass::memory::parse_bytes)]
     memory: Option<u64>,
 }
@@ -65,7 +66,8 @@ pub fn run(args: &CheckArgs) -> Result<()> {
     found.map(Finding::to_error).or(further).map_or(Ok(()), Err)
 }
 
-/// What a run's start says before its first pass, and the error that it ends with, which is none of the survey's.
+/// What a run's start says before its first pass, and the error that it ends with, which is none of
+/// the survey's.
 fn rehearsed(
     scene: &Scene,
     looks: Result<Option<Cow<[ViewLook]>>>,
@@ -81,7 +83,8 @@ fn rehearsed(
     (notes.take(), error)
 }
 
-/// Refuses an `--out` that would be empty, cannot be written, or would replace what the scene reads: before photographs are read.
+/// Refuses an `--out` that would be empty, cannot be written, or would replace what the scene
+/// reads: before photographs are read.
 fn check_out(out: &Path, loaded: &LoadedScene, has_photographs: bool) -> Result<()> {
     if !has_photographs {
         let problem = "--out has nothing to show: no photographs are looked at";

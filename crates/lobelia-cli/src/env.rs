@@ -71,10 +71,12 @@ pub struct FitArgs {
     #[arg(long, value_name = "N[,N…]", value_delimiter = ',', default_value = "128",
         value_parser = clap::value_parser!(u16).range(1..=512))]
     lobes: Vec<u16>,
-    /// Write the lobes here (.ron or .npy), and beside it a .png of the map and what the lobes make of it, unless another picture is there
+    /// Write the lobes here (.ron or .npy), and beside it a .png of the map and what the lobes make
+    /// of it, unless another picture is there
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Light from above only: the map below the horizon counts as black, no lobe's axis points below it
+    /// Light from above only: the map below the horizon counts as black, no lobe's axis points
+    /// below it
     #[arg(long)]
     upper_hemisphere: bool,
     /// Gray light: fit the map's luminance
@@ -276,7 +278,8 @@ fn rotate(args: &RotateArgs) -> Result<()> {
 
 // What is in a light, in words.
 
-/// Describes a light: mean, power, peak, and a table of its lobes by power (all of them, or the first 16).
+/// Describes a light: mean, power, peak, and a table of its lobes by power (all of them, or the
+/// first 16).
 fn info(light: &LightFile, all: bool) -> String {
     let (mut text, power) = match light {
         LightFile::Lobes(lobes) => {
@@ -309,7 +312,8 @@ fn luminous(power: DVec3) -> f64 {
     f64::from(luminance(power.as_vec3()))
 }
 
-/// The brightest radiance and its direction; of lobes at the axis of one, for the peak of their sum is there or close by.
+/// The brightest radiance and its direction; of lobes at the axis of one, for the peak of their sum
+/// is there or close by.
 fn peak(light: &LightFile) -> (Vec3, Vec3) {
     let brighter = |a: (Vec3, Vec3), b: (Vec3, Vec3)| if luminance(b.0) > luminance(a.0) { b } else { a };
     let brightest = match light {
@@ -350,7 +354,8 @@ fn table(text: &mut String, lobes: &[LightLobe], lines: usize) {
     }
 }
 
-/// Angle from the axis at which an SG has half its peak, in degrees: cos = 1 − ln 2/λ; 180 where it nowhere falls so low.
+/// Angle from the axis at which an SG has half its peak, in degrees: cos = 1 − ln 2/λ; 180 where it
+/// nowhere falls so low.
 fn half_width_degrees(sharpness: f32) -> f32 {
     (1.0 - std::f32::consts::LN_2 / sharpness).max(-1.0).acos().to_degrees()
 }
@@ -365,8 +370,8 @@ fn rgb(v: DVec3) -> String {
 
 // Pictures of maps.
 
-/// Factor on a map's radiance for a preview: brings the solid-angle-weighted geometric mean luminance to mid-gray
-/// (Reinhard et al. 2002, eq. 1).
+/// Factor on a map's radiance for a preview: brings the solid-angle-weighted geometric mean
+/// luminance to mid-gray (Reinhard et al. 2002, eq. 1).
 fn preview_factor(map: &EnvironmentMap) -> f32 {
     let mean = luminous(map.power()) / (4.0 * PI);
     if mean <= 0.0 {

@@ -10,7 +10,8 @@ use std::io::IsTerminal;
 /// Columns of a report; longer sentences are wrapped.
 const WIDTH: usize = 100;
 
-/// An error as a person reads it on standard error: in color on a terminal, unless `NO_COLOR` is set.
+/// An error as a person reads it on standard error: in color on a terminal, unless `NO_COLOR` is
+/// set.
 pub fn report(error: &Error) -> String {
     if let Error::Scene(diagnostic) = error {
         let plain = !std::io::stderr().is_terminal() || std::env::var_os("NO_COLOR").is_some();

@@ -25,7 +25,8 @@ use std::{io::Write as _, process::ExitCode};
 
 const EXAMPLES: &str = include_str!("help/lobelia.txt").trim_ascii_end();
 
-/// Recovers surface, material and light of a photographed object as spherical Gaussians; then edits and relights it.
+/// Recovers surface, material and light of a photographed object as spherical Gaussians; then edits
+/// and relights it.
 #[derive(Debug, Parser)]
 #[command(name = "lobelia", version = env!("LOBELIA_VERSION"), after_long_help = EXAMPLES, arg_required_else_help = true)]
 struct Cli {
@@ -45,7 +46,8 @@ enum Command {
     Report(report::ReportArgs),
     Eval(report::EvalArgs),
     Bench(bench::BenchArgs),
-    /// Environment light: fit SG lobes to a map, draw lobes as a map, turn a light, say what is in it
+    /// Environment light: fit SG lobes to a map, draw lobes as a map, turn a light, say what is in
+    /// it
     #[command(subcommand, after_long_help = env::EXAMPLES)]
     Env(env::EnvCommand),
 }

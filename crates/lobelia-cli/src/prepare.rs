@@ -1,4 +1,5 @@
-//! `lobelia prepare`: from photographs or a video to a data set; and `lobelia new`: a scene file for one.
+//! `lobelia prepare`: from photographs or a video to a data set; and `lobelia new`: a scene file
+//! for one.
 
 use super::start::{Choices, ThreadArgs, choices, start_threads, stop_on_signals};
 use super::terminal::{Terminal, print};
@@ -12,9 +13,10 @@ const EXAMPLES: &str = include_str!("help/prepare.txt").trim_ascii_end();
 
 /// Makes a data set of photographs whose cameras are unknown.
 ///
-/// COLMAP finds the cameras: features, matches, mapping, undistortion. OUT then has images/, sparse/0/, masks/ if there
-/// are masks, logs/, and a commented scene file scene.ron. OUT must be new or empty. A run that was stopped goes on where
-/// it was when the same command is given again; steps whose options changed are done again.
+/// COLMAP finds the cameras: features, matches, mapping, undistortion. OUT then has images/,
+/// sparse/0/, masks/ if there are masks, logs/, and a commented scene file scene.ron. OUT must be
+/// new or empty. A run that was stopped goes on where it was when the same command is given again;
+/// steps whose options changed are done again.
 #[derive(Args, Debug)]
 #[command(
     about = "From photographs or a video to a data set: cameras by COLMAP, masks, a scene file",
@@ -31,7 +33,8 @@ pub struct PrepareArgs {
     /// A command that writes the mask {out} of the photograph {in}, run once per photograph
     #[arg(long, value_name = "COMMAND", group = "mask_source")]
     mask_command: Option<String>,
-    /// The part of a photograph that shows where the camera is: everything, or with masks the object alone
+    /// The part of a photograph that shows where the camera is: everything, or with masks the
+    /// object alone
     #[arg(long, value_name = "AREA", default_value = "all", value_parser = choices(FEATURES))]
     features: bool,
     /// Which photographs are matched with each other

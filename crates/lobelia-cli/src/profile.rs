@@ -1,4 +1,5 @@
-//! `lobelia run --profile`: where the time goes, by the `tracing` spans of passes, stages, schedules and systems.
+//! `lobelia run --profile`: where the time goes, by the `tracing` spans of passes, stages,
+//! schedules and systems.
 
 use lobelia::{Error, Result};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -43,7 +44,8 @@ impl Profiler {
         Ok(Self { sums, began: Instant::now(), trace })
     }
 
-    /// Prints the table on standard error, and writes it and the trace into the output folder, if there is one.
+    /// Prints the table on standard error, and writes it and the trace into the output folder, if
+    /// there is one.
     pub fn finish(self, out: &Path) -> Result<()> {
         // A line per name, the longest time first; spans inside others count in both.
         let sums = self.sums.lock().unwrap_or_else(PoisonError::into_inner);
@@ -131,7 +133,8 @@ impl Visit for Name {
     }
 }
 
-/// The name of a system without the modules of its paths: `gather_points<Shown>`; a closure has that of its function.
+/// The name of a system without the modules of its paths: `gather_points<Shown>`; a closure has
+/// that of its function.
 fn short(name: &str) -> String {
     let is_path = |c: char| c.is_alphanumeric() || "_:{}".contains(c);
     let mut found = String::new();

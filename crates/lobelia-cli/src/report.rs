@@ -1,4 +1,5 @@
-//! `lobelia report`: a run as a page, or several side by side as a table, as CSV, or as one page; and `lobelia eval`: pictures compared.
+//! `lobelia report`: a run as a page, or several side by side as a table, as CSV, or as one page;
+//! and `lobelia eval`: pictures compared.
 
 use super::{start::refuse_foreign, terminal::print};
 use clap::Args;
@@ -7,12 +8,13 @@ use lobelia::report::html::{REPORT, SIGNATURE, html};
 use lobelia::{Error, Result, codec::file::write_bytes, report::compare::compare, report::scores::Scaling};
 use std::{collections::HashSet, path::PathBuf};
 
-/// Sets runs side by side, by their scores, times and states: a table on the terminal, or CSV with --csv.
+/// Sets runs side by side, by their scores, times and states: a table on the terminal, or CSV with
+/// --csv.
 ///
-/// Of one run it writes the page that `lobelia run` writes into OUT/report.html after every pass. With --out it writes one
-/// page of 1 to 8 runs, which needs nothing else, no server and no network: the scores with the differences from the first
-/// run, the same views of all runs under one wipe, their curves in one chart, and the values in which their scene files
-/// differ.
+/// Of one run it writes the page that `lobelia run` writes into OUT/report.html after every pass.
+/// With --out it writes one page of 1 to 8 runs, which needs nothing else, no server and no
+/// network: the scores with the differences from the first run, the same views of all runs under
+/// one wipe, their curves in one chart, and the values in which their scene files differ.
 #[derive(Args, Debug)]
 #[command(
     about = "Write a page that shows a run, or sets several side by side: scores, views, curves",

@@ -10,16 +10,18 @@ use std::{path::Path, path::PathBuf, time::Instant};
 
 /// Runs the passes of a scene file in their order.
 ///
-/// A scene file says what is known about an object (its surface, the photographs, the light, the material), what is
-/// not, and what to do: Fit what is unknown, Render views, Edit the material, Relight it, Evaluate against the
-/// truth, Save it as a scene of its own, Export it as .glb. Every pass has a name and writes into OUT/<name>/.
+/// A scene file says what is known about an object (its surface, the photographs, the light, the
+/// material), what is not, and what to do: Fit what is unknown, Render views, Edit the material,
+/// Relight it, Evaluate against the truth, Save it as a scene of its own, Export it as .glb. Every
+/// pass has a name and writes into OUT/<name>/.
 ///
-/// Inputs are never replaced, whatever OUT and passes are called. OUT/run.json says how far the run is and lists its
-/// files; --force replaces those of an earlier run and nothing else. Only one run at a time writes into OUT.
+/// Inputs are never replaced, whatever OUT and passes are called. OUT/run.json says how far the run
+/// is and lists its files; --force replaces those of an earlier run and nothing else. Only one run
+/// at a time writes into OUT.
 ///
-/// Ctrl-C, SIGTERM and SIGHUP stop a run: what was found until then is scored, saved and exported. A run that was
-/// stopped, killed, or failed goes on where it was with the same command and --resume. --live shows a run that is at
-/// work in OUT/report.html.
+/// Ctrl-C, SIGTERM and SIGHUP stop a run: what was found until then is scored, saved and exported.
+/// A run that was stopped, killed, or failed goes on where it was with the same command and
+/// --resume. --live shows a run that is at work in OUT/report.html.
 #[derive(Args, Debug)]
 #[command(about = "Run the passes of a scene file", verbatim_doc_comment)]
 pub struct RunArgs {
@@ -31,8 +33,8 @@ pub struct RunArgs {
     /// Replace the results of an earlier run in the output folder, and nothing else
     #[arg(long)]
     force: bool,
-    /// Go on with the run in the output folder from its last checkpoint, if there is one that has not finished; the
-    /// result has the same bits as without a break
+    /// Go on with the run in the output folder from its last checkpoint, if there is one that has
+    /// not finished; the result has the same bits as without a break
     #[arg(long, conflicts_with = "force")]
     resume: bool,
     #[command(flatten)]
@@ -49,12 +51,13 @@ pub struct RunArgs {
     /// While a shape is found, write its normals, depth and mesh every N steps
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     debug_every: Option<u32>,
-    /// Measure where the time goes: a table on standard error at the end and in OUT/profile.txt; with `trace` also
-    /// OUT/trace.json, which Perfetto opens
+    /// Measure where the time goes: a table on standard error at the end and in OUT/profile.txt;
+    /// with `trace` also OUT/trace.json, which Perfetto opens
     #[arg(long, value_name = "FORM", num_args = 0..=1, require_equals = true, default_missing_value = "table",
         value_parser = choices(PROFILES))]
     profile: Option<bool>,
-    /// Write OUT/report.html every few seconds while a fit or shape is found: curves and the worst views; the page loads itself again
+    /// Write OUT/report.html every few seconds while a fit or shape is found: curves and the worst
+    /// views; the page loads itself again
     #[arg(long)]
     live: bool,
     /// Form of a run's messages: text for a person, or a line of JSON for each event, on standard

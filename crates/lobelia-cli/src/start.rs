@@ -1,4 +1,5 @@
-//! Preparations of commands: the scene, the number of threads, signals, and files that must not be written over.
+//! Preparations of commands: the scene, the number of threads, signals, and files that must not be
+//! written over.
 
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -55,7 +56,8 @@ pub struct ThreadArgs {
     pub threads: Option<u16>,
 }
 
-/// Starts as many worker threads as asked for; without a number, one per processor, or what `RAYON_NUM_THREADS` says.
+/// Starts as many worker threads as asked for; without a number, one per processor, or what
+/// `RAYON_NUM_THREADS` says.
 pub fn start_threads(args: ThreadArgs) -> Result<()> {
     let threads = rayon::ThreadPoolBuilder::new().num_threads(args.threads.map_or(0, usize::from));
     threads.build_global().map_err(|error| {
@@ -64,8 +66,9 @@ pub fn start_threads(args: ThreadArgs) -> Result<()> {
     })
 }
 
-/// Listens for Ctrl-C, SIGTERM and SIGHUP from now on, but for those that the process was told to ignore, as `nohup` does with
-/// SIGHUP. The first one lets the work in progress end cleanly, a second one ends the process at once.
+/// Listens for Ctrl-C, SIGTERM and SIGHUP from now on, but for those that the process was told to
+/// ignore, as `nohup` does with SIGHUP. The first one lets the work in progress end cleanly, a
+/// second one ends the process at once.
 #[cfg(unix)]
 pub fn stop_on_signals() -> Result<()> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -84,7 +87,8 @@ pub fn stop_on_signals() -> Result<()> {
     std::thread::Builder::new().name("signals".into()).spawn(listen).map(drop).map_err(refused)
 }
 
-/// Tells whether the process was started with a signal ignored. Only Linux says it without a system call that Rust has no safe name for.
+/// Tells whether the process was started with a signal ignored. Only Linux says it without a system
+/// call that Rust has no safe name for.
 #[cfg(unix)]
 fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -118,7 +122,8 @@ fn refused(error: std::io::Error) -> Error {
     Error::run("listening for signals", error.to_string())
 }
 
-/// Refuses to write what is read: `inputs` are paths that are read, `outputs` are paths with what writes them.
+/// Refuses to write what is read: `inputs` are paths that are read, `outputs` are paths with what
+/// writes them.
 pub fn refuse_inputs(inputs: &[PathBuf], outputs: &[(&Path, &str)]) -> Result<()> {
     let inputs: Vec<FileUse> = inputs.iter().map(|path| FileUse::new(path, "which is read")).collect();
     let outputs: Vec<FileUse> = outputs.iter().map(|(path, by)| FileUse::new(*path, *by)).collect();

@@ -1,4 +1,5 @@
-//! What a command says while it works: bars, notes and results for a person, or events for programs.
+//! What a command says while it works: bars, notes and results for a person, or events for
+//! programs.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use lobelia::pass::progress::{Bar, Moment, Progress};
@@ -17,8 +18,8 @@ pub fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Bars where standard error is a terminal, and results on standard output; neither if it is `quiet`. Errors are printed by the command
-/// itself.
+/// Bars where standard error is a terminal, and results on standard output; neither if it is
+/// `quiet`. Errors are printed by the command itself.
 pub struct Terminal {
     pub quiet: bool,
 }
@@ -39,7 +40,8 @@ impl Progress for Terminal {
         }
     }
 
-    /// With the time left, or that spent where the length is not known; hidden where bars are not shown.
+    /// With the time left, or that spent where the length is not known; hidden where bars are not
+    /// shown.
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
         let mut bar = ProgressBar::hidden();
         if !self.quiet && std::io::stderr().is_terminal() {
@@ -81,7 +83,8 @@ impl Bar for TerminalBar {
     fn set_position(&self, steps: u64) {
         self.bar.set_position(steps);
         if self.begins.swap(false, Ordering::Relaxed) {
-            // Neither the time before the first step nor steps before a break say how long the others take.
+            // Neither the time before the first step nor steps before a break say how long the
+            // others take.
             self.bar.tick();
             self.bar.reset_eta();
         }
@@ -111,8 +114,8 @@ const PAUSE: Duration = Duration::from_secs(1);
 /// Steps between two lines about a fit.
 const STEPS: u32 = 20;
 
-/// What a run says, for programs (`lobelia run --log json`): one JSON object a line on standard output, each with the seconds since the
-/// start and the name of an event.
+/// What a run says, for programs (`lobelia run --log json`): one JSON object a line on standard
+/// output, each with the seconds since the start and the name of an event.
 ///
 /// | event | fields | when |
 /// | --- | --- | --- |

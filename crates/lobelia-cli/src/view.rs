@@ -8,12 +8,14 @@ use lobelia::scene::{LightSource, LoadOptions, LoadedScene, ViewPass, Views, loa
 use lobelia::{Error, Result, glam::Vec3, pass::view::PAGE, pass::write_view};
 use std::path::{Path, PathBuf};
 
-/// Writes OUT/view.html: one page that shows the object that a run saved, and needs nothing else, no server and no network.
+/// Writes OUT/view.html: one page that shows the object that a run saved, and needs nothing else,
+/// no server and no network.
 ///
-/// The object is turned with mouse, touch or keyboard, under the light that was found or under lights given with
-/// --light; roughness, reflection, color and exposure have sliders; what was done can be copied as a pass for a scene
-/// file. The photographs, if they are still there, are laid beside the picture under a wipe. A pass View() in a scene
-/// file writes the same page, with the lights of the scene's own passes.
+/// The object is turned with mouse, touch or keyboard, under the light that was found or under
+/// lights given with --light; roughness, reflection, color and exposure have sliders; what was done
+/// can be copied as a pass for a scene file. The photographs, if they are still there, are laid
+/// beside the picture under a wipe. A pass View() in a scene file writes the same page, with the
+/// lights of the scene's own passes.
 #[derive(Args, Debug)]
 #[command(
     about = "Write a page that shows a saved object in a browser: turned, relit, edited",

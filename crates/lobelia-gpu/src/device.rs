@@ -94,8 +94,8 @@ pub(crate) const NO_ADAPTER: &str = "no GPU adapter is there that can compute; i
     mesa-vulkan-drivers, which also has one in software)";
 
 impl Gpu {
-    /// Opens the first adapter that has `name_contains` in its name (upper or lower case), or the first of all. Software counts, and comes
-    /// last.
+    /// Opens the first adapter that has `name_contains` in its name (upper or lower case), or the
+    /// first of all. Software counts, and comes last.
     ///
     /// # Errors
     /// What is missing, or the failure of the adapter.

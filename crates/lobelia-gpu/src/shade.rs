@@ -20,7 +20,8 @@ const BATCH: usize = 1 << 17;
 const LOBE_BYTES: usize = 64;
 /// Values of two vectors of three, each padded to four.
 const TWO_VECTORS: usize = 8;
-/// Lobes at most: a software driver may end all loops of a thread after 65,535 turns in sum, and says nothing.
+/// Lobes at most: a software driver may end all loops of a thread after 65,535 turns in sum, and
+/// says nothing.
 pub(crate) const MOST_LOBES: usize = 4096;
 
 /// A call on a device.
@@ -126,7 +127,8 @@ impl<'a> Job<'a> {
         LOBE_COLUMNS * self.call.lighting.lobes.len() + 4
     }
 
-    /// The points in batches whose buffers are not too large. What they are depends on the number of lobes only.
+    /// The points in batches whose buffers are not too large. What they are depends on the number
+    /// of lobes only.
     fn batches(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         // Of a workgroup: a row of visibility for each point, and the sums.
         let bytes = (GROUP * self.call.lighting.lobes.stride()).max(4 * self.rows());
@@ -205,7 +207,8 @@ impl<'a> Job<'a> {
         pass.dispatch_workgroups(groups as u32, 1, 1);
     }
 
-    /// Copies `counts` values of each of these buffers to the host, one after another, after the commands of `encoder`.
+    /// Copies `counts` values of each of these buffers to the host, one after another, after the
+    /// commands of `encoder`.
     fn read(
         &self,
         state: &mut State,
@@ -259,7 +262,8 @@ impl<'a> Job<'a> {
         self.read(state, encoder, &[(Slot::Out, count), (Slot::Totals, rows)])
     }
 
-    /// Uploads the adjoints of the layers of a batch; a channel that is clamped to zero has an adjoint of zero.
+    /// Uploads the adjoints of the layers of a batch; a channel that is clamped to zero has an
+    /// adjoint of zero.
     fn upload_adjoint(&self, buffers: &mut Buffers, range: Range<usize>, radiance: RadianceColumns<'_>) {
         let live = |layer: [f32; 3], adjoint: [f32; 3]| {
             std::array::from_fn(|c| if layer[c] > 0.0 { adjoint[c] } else { 0.0 })

@@ -1,4 +1,5 @@
-//! The BRDF of the PhySG supplement (eqs. 1–7): f = a/π + M·D with M = F·G/(4 (n·ωo)(n·ωi)); D is its SG or GGX.
+//! The BRDF of the PhySG supplement (eqs. 1–7): f = a/π + M·D with M = F·G/(4 (n·ωo)(n·ωi)); D is
+//! its SG or GGX.
 
 use crate::real::{Real, Vec3Of, add, dot, scale, sub};
 use crate::sg;
@@ -11,7 +12,8 @@ pub enum Ndf {
     /// One SG, as in the PhySG supplement (eq. 4).
     #[default]
     Sg,
-    /// GGX with α = R², which has the same peak and a longer tail; accurate shading approximates it by three SGs.
+    /// GGX with α = R², which has the same peak and a longer tail; accurate shading approximates it
+    /// by three SGs.
     Ggx,
 }
 
@@ -38,7 +40,8 @@ pub struct SpecularValue {
     pub albedo: Vec3Of<f32>,
     /// Roughness R.
     pub roughness: f32,
-    /// Distribution of microfacet normals; [`Published`](crate::published::Published) shading always uses one SG.
+    /// Distribution of microfacet normals; [`Published`](crate::published::Published) shading
+    /// always uses one SG.
     pub ndf: Ndf,
 }
 
@@ -51,27 +54,31 @@ pub struct SpecularAdjoint {
     pub roughness: f32,
 }
 
-/// Fresnel term (PhySG supp. eq. 6): F = s + (1 − s)·2^(−(5.55473 x + 6.8316) x) with x = ωo·h. Returns the power of two.
+/// Fresnel term (PhySG supp. eq. 6): F = s + (1 − s)·2^(−(5.55473 x + 6.8316) x) with x = ωo·h.
+/// Returns the power of two.
 ///
-/// The constant 6.8316 is the one in the paper and in the published code (Epic's original fit has 6.98316).
+/// The constant 6.8316 is the one in the paper and in the published code (Epic's original fit has
+/// 6.98316).
 #[inline(always)]
 pub fn fresnel_power<F: Real>(cos_view_half: F) -> F {
     let exponent = -(cos_view_half.times(5.55473).plus(6.8316)) * cos_view_half;
     exponent.times(std::f64::consts::LN_2).exp()
 }
 
-/// One factor c/(c(1 − k) + k) of the shadowing term G (PhySG supp. eqs. 1–7) divided by c: 1/(c(1 − k) + k), with k of
-/// [`shadowing_k`].
+/// One factor c/(c(1 − k) + k) of the shadowing term G (PhySG supp. eqs. 1–7) divided by c: 1/(c(1
+/// − k) + k), with k of [`shadowing_k`].
 #[inline(always)]
 pub fn shadowing_over_cosine<F: Real>(cosine: F, k: F) -> F {
     (cosine * (k.one() - k) + k).recip()
 }
 
-/// k of the shadowing term G, and dk/dR: (R + 1)²/8 for the SG (PhySG supp. eqs. 1–7), 0.42 R³ for GGX.
+/// k of the shadowing term G, and dk/dR: (R + 1)²/8 for the SG (PhySG supp. eqs. 1–7), 0.42 R³ for
+/// GGX.
 ///
-/// The second is fitted to the height-correlated term of Smith (Heitz 2014) with α = R² at mirror directions: root mean square error
-/// of G 1.5 %, weighted by the cosine. The first is Epic's choice for lamps without size and 19 % off; it darkens smooth surfaces.
-/// Seen at 70° to the normal, a mirror of R = 0.25 keeps 53 % of its light with it, where Smith's term leaves 99 %.
+/// The second is fitted to the height-correlated term of Smith (Heitz 2014) with α = R² at mirror
+/// directions: root mean square error of G 1.5 %, weighted by the cosine. The first is Epic's
+/// choice for lamps without size and 19 % off; it darkens smooth surfaces. Seen at 70° to the
+/// normal, a mirror of R = 0.25 keeps 53 % of its light with it, where Smith's term leaves 99 %.
 #[inline(always)]
 pub fn shadowing_k<F: Real>(facets: Facets<F>) -> [F; 2] {
     let r = facets.roughness;
@@ -113,10 +120,11 @@ pub fn normal_distribution<F: Real>(normal: Vec3Of<F>, half: Vec3Of<F>, facets: 
     }
 }
 
-/// The specular part f_s = M·D (PhySG supp. eqs. 1–7) at unit directions to the viewer and to the light, for cosines above zero.
+/// The specular part f_s = M·D (PhySG supp. eqs. 1–7) at unit directions to the viewer and to the
+/// light, for cosines above zero.
 ///
-/// Returns `(constant, slope)` so that f_s = constant + slope·s for any channel's specular albedo s:
-/// F is affine in s, so three channels cost no more than one.
+/// Returns `(constant, slope)` so that f_s = constant + slope·s for any channel's specular albedo
+/// s: F is affine in s, so three channels cost no more than one.
 #[inline(always)]
 pub fn specular_affine<F: Real>(
     normal: Vec3Of<F>,
@@ -139,12 +147,14 @@ pub fn specular_affine<F: Real>(
 mod tests {
     use super::*;
 
-    /// G2 of Heitz 2014, "Understanding the Masking-Shadowing Function in Microfacet-Based BRDFs", eq. 99, at two equal cosines.
+    /// G2 of Heitz 2014, "Understanding the Masking-Shadowing Function in Microfacet-Based BRDFs",
+    /// eq. 99, at two equal cosines.
     fn smith(alpha: f64, cosine: f64) -> f64 {
         cosine / (alpha * alpha + (1.0 - alpha * alpha) * cosine * cosine).sqrt()
     }
 
-    /// Root mean square difference of G from Smith's over cosines, weighted by them, averaged over roughness.
+    /// Root mean square difference of G from Smith's over cosines, weighted by them, averaged over
+    /// roughness.
     fn distance_to_smith(ndf: Ndf) -> f64 {
         let of_roughness = |i: u32| {
             let roughness = f64::from(i) / 40.0;

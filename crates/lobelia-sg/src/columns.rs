@@ -40,7 +40,8 @@ impl LobeColumns {
         self.stride / MAX_LANES
     }
 
-    /// Columns of these lobes. Padding lobes have zero amplitude, and a sharpness for which the kernels take the fast path.
+    /// Columns of these lobes. Padding lobes have zero amplitude, and a sharpness for which the
+    /// kernels take the fast path.
     pub fn from_lobes(lobes: impl ExactSizeIterator<Item = Lobe<f32>>) -> Self {
         let mut columns = Self::zeros(lobes.len());
         for (i, lobe) in lobes.enumerate() {
@@ -98,8 +99,8 @@ pub struct SharedGradient {
     pub specular: SpecularAdjoint,
 }
 
-/// The sums of a [`SharedGradient`] over each chunk of [`CHUNK`](crate::shading::CHUNK) points, from the first chunk to the last. Their total has
-/// the same bits wherever the chunks were summed.
+/// The sums of a [`SharedGradient`] over each chunk of [`CHUNK`](crate::shading::CHUNK) points,
+/// from the first chunk to the last. Their total has the same bits wherever the chunks were summed.
 #[derive(Clone, Debug, Default)]
 pub struct ChunkSums {
     /// Of each chunk [`LOBE_COLUMNS`] rows per block of lobes, and a row for the specular material.
@@ -164,14 +165,16 @@ fn add_row(sums: &mut [f32], row: &Row, begins: bool) {
 /// Visibility of the light lobes at points that other parts of the object may occlude.
 #[derive(Clone, Copy, Debug)]
 pub struct LobeVisibility<'a> {
-    /// One row of [`LobeColumns::stride`] values per point: the fraction of each lobe's irradiance that reaches it, 0 to 255. If empty, all light reaches all points.
+    /// One row of [`LobeColumns::stride`] values per point: the fraction of each lobe's irradiance
+    /// that reaches it, 0 to 255. If empty, all light reaches all points.
     pub lobes: &'a [u8],
     /// One entry per point.
     pub points: &'a [PointVisibility],
 }
 
 impl<'a> LobeVisibility<'a> {
-    /// The visibility of one point: its row of lobes (`None` if all light reaches it) and the part that does not depend on the lobe.
+    /// The visibility of one point: its row of lobes (`None` if all light reaches it) and the part
+    /// that does not depend on the lobe.
     #[inline(always)]
     pub fn point(
         visibility: Option<Self>,
@@ -190,8 +193,8 @@ impl<'a> LobeVisibility<'a> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "ecs", derive(bevy_ecs::component::Component))]
 pub struct PointVisibility {
-    /// Ratio per channel of the specular light to the specular light without occlusion; above 1 where the point reflects a bright part
-    /// of the object.
+    /// Ratio per channel of the specular light to the specular light without occlusion; above 1
+    /// where the point reflects a bright part of the object.
     pub specular: Vec3Of<f32>,
     /// Irradiance from other parts of the object.
     pub indirect: Vec3Of<f32>,
@@ -247,7 +250,8 @@ impl<'a> Lighting<'a> {
     }
 }
 
-/// A surface point as the kernels read it; a zero normal marks a ray without a hit, whose radiance is zero.
+/// A surface point as the kernels read it; a zero normal marks a ray without a hit, whose radiance
+/// is zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "ecs", derive(bevy_ecs::component::Component))]
 pub struct ShadePoint {
@@ -291,7 +295,8 @@ pub struct PointAdjoint {
     pub normal: Vec3Of<f32>,
 }
 
-/// The radiance of many points and its adjoint, the input of the adjoint kernel. Both have one value per point.
+/// The radiance of many points and its adjoint, the input of the adjoint kernel. Both have one
+/// value per point.
 #[derive(Clone, Copy, Debug)]
 pub struct RadianceColumns<'a> {
     /// Result of the forward kernel; where a channel is zero, its adjoint is dropped.

@@ -4,7 +4,8 @@ use glam::Vec3;
 
 /// `n` near-uniform unit directions on the Fibonacci spiral, from near +Y to near −Y.
 ///
-/// Direction i has y = 1 − (2i + 1)/n and turns by the golden angle from one to the next (Swinbank and Purser 2006).
+/// Direction i has y = 1 − (2i + 1)/n and turns by the golden angle from one to the next (Swinbank
+/// and Purser 2006).
 pub fn fibonacci_axes(n: usize) -> Vec<Vec3> {
     let golden_angle = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
     (0..n)
@@ -19,7 +20,8 @@ pub fn fibonacci_axes(n: usize) -> Vec<Vec3> {
 
 /// Sharpness at which `n` near-uniform lobes overlap well: neighbors meet at about half their peak.
 ///
-/// Each of `n` directions covers 4π/n steradians, a cap of 1 − cos ρ = 2/n; λ = ln 2 · n/2 gives half the peak at its rim.
+/// Each of `n` directions covers 4π/n steradians, a cap of 1 − cos ρ = 2/n; λ = ln 2 · n/2 gives
+/// half the peak at its rim.
 pub fn spacing_sharpness(n: usize) -> f32 {
     std::f32::consts::LN_2 * n.max(1) as f32 / 2.0
 }

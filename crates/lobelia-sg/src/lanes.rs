@@ -71,7 +71,8 @@ impl<S: Simd> Lanes<S> {
         for (i, v) in v.iter_mut().enumerate() {
             *v = S::f32s::from_slice(simd, &values[i * Self::LEN..(i + 1) * Self::LEN]);
         }
-        // Even values in front of odd ones, three times: by the three bits of their place in the record.
+        // Even values in front of odd ones, three times: by the three bits of their place in the
+        // record.
         let [a, b, c, d] =
             [v[0].unzip_low(v[1]), v[2].unzip_low(v[3]), v[4].unzip_low(v[5]), v[6].unzip_low(v[7])];
         let [e, f, g, h] =
@@ -91,7 +92,8 @@ impl<S: Simd> Lanes<S> {
         ]
     }
 
-    /// One record of [`RECORD`] values per lane, one after another ([`record_of`]), from value `i` of all of them; undoes [`Lanes::columns`].
+    /// One record of [`RECORD`] values per lane, one after another ([`record_of`]), from value `i`
+    /// of all of them; undoes [`Lanes::columns`].
     #[inline(always)]
     pub fn records(columns: [Self; RECORD]) -> [Row; RECORD] {
         let [a, b, c, d, e, f, g, h] = columns;
@@ -128,11 +130,12 @@ impl<S: Simd> Lanes<S> {
         self.value.simd_lt(bound.value).to_bitmask()
     }
 
-    /// e to the power of arguments in [−87, 88]: Cody–Waite reduction to |r| ≤ ln 2/2 and a minimax polynomial of degree
-    /// 5, with a relative error below 2e-7.
+    /// e to the power of arguments in [−87, 88]: Cody–Waite reduction to |r| ≤ ln 2/2 and a minimax
+    /// polynomial of degree 5, with a relative error below 2e-7.
     #[inline(always)]
     fn exp_between(self) -> Self {
-        // Adding 1.5·2²³ rounds to an integer and leaves it in the low bits, ready to be an exponent.
+        // Adding 1.5·2²³ rounds to an integer and leaves it in the low bits, ready to be an
+        // exponent.
         let rounder = self.lit(12_582_912.0);
         let shifted = self.mul_add(self.lit(std::f64::consts::LOG2_E), rounder);
         let k = shifted - rounder;
@@ -156,7 +159,8 @@ impl<S: Simd> Lanes<S> {
 
 /// `$body` with `$simd` the token of the best instruction set that this machine has.
 ///
-/// Like the macro of this name in fearless_simd, but without SSE4.2, where the kernels do the same operations as with SSE2.
+/// Like the macro of this name in fearless_simd, but without SSE4.2, where the kernels do the same
+/// operations as with SSE2.
 macro_rules! dispatch {
     ($simd:ident => $body:expr) => {{
         let level = fearless_simd::Level::new();
@@ -280,8 +284,8 @@ impl<S: Simd> Real for Lanes<S> {
     fn sqrt(self) -> Self {
         Self { value: self.value.sqrt(), simd: self.simd }
     }
-    /// `exp_between` for arguments in [−87, 88]; those beyond are clamped, so the result is finite and never
-    /// below 1e-38.
+    /// `exp_between` for arguments in [−87, 88]; those beyond are clamped, so the result is finite
+    /// and never below 1e-38.
     #[inline(always)]
     fn exp(self) -> Self {
         self.max(self.lit(-87.0)).min(self.lit(88.0)).exp_between()
@@ -318,7 +322,8 @@ impl<S: Simd> Real for Lanes<S> {
     fn mul_add(self, a: Self, b: Self) -> Self {
         Self { value: self.value.mul_add(a.value, b.value), simd: self.simd }
     }
-    /// The hardware's estimate (at least 12 bits on x86-64, 8 on aarch64) and one or two Newton steps.
+    /// The hardware's estimate (at least 12 bits on x86-64, 8 on aarch64) and one or two Newton
+    /// steps.
     #[inline(always)]
     fn inverse(self) -> Self {
         let two = self.lit(2.0);

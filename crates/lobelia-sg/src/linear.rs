@@ -1,5 +1,5 @@
-//! Linear systems: a Cholesky solver and non-negative least squares for dense matrices, and conjugate gradients for matrices that are
-//! known by their products.
+//! Linear systems: a Cholesky solver and non-negative least squares for dense matrices, and
+//! conjugate gradients for matrices that are known by their products.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, dispatch, f64x8};
@@ -14,8 +14,8 @@ const COLUMNS: usize = 2;
 /// Numbers in a vector, of which a panel has a whole number.
 const LANES: usize = 8;
 
-/// Factors the symmetric positive definite `matrix` (n × n, row by row; the lower triangle is read) in place into L with
-/// matrix = L Lᵀ; false if it is not positive definite.
+/// Factors the symmetric positive definite `matrix` (n × n, row by row; the lower triangle is read)
+/// in place into L with matrix = L Lᵀ; false if it is not positive definite.
 pub fn cholesky(matrix: &mut [f64], n: usize) -> bool {
     cholesky_at(Level::new(), matrix, n)
 }
@@ -53,7 +53,8 @@ fn eliminate(row: &mut [f64], above: &[f64], n: usize, columns: Range<usize>) {
     }
 }
 
-/// The inverse of the triangle that `rows`, a whole panel, have from column `start` on, column by column.
+/// The inverse of the triangle that `rows`, a whole panel, have from column `start` on, column by
+/// column.
 fn inverse_of(rows: &[f64], n: usize, start: usize) -> [[f64; PANEL]; PANEL] {
     let mut inverse = [[0.0; PANEL]; PANEL];
     for (k, column) in inverse.iter_mut().enumerate() {
@@ -120,8 +121,8 @@ impl Panel<'_> {
     }
 }
 
-/// Products of the first `count` entries of [`ROWS`] rows with those of [`COLUMNS`] others: each number that is read serves several sums. `count` is a multiple of
-/// [`PANEL`].
+/// Products of the first `count` entries of [`ROWS`] rows with those of [`COLUMNS`] others: each
+/// number that is read serves several sums. `count` is a multiple of [`PANEL`].
 #[inline(always)]
 fn block_products<S: Simd>(simd: S, a: &[f64], b: &[f64], n: usize, count: usize) -> [[f64; COLUMNS]; ROWS] {
     const { assert!(ROWS == 4 && COLUMNS == 2, "written out below") };
@@ -177,10 +178,11 @@ fn product(a: &[f64], b: &[f64]) -> f64 {
     sums.iter().sum::<f64>() + rest
 }
 
-/// Lowers ½xᵀAx − bᵀx over x ≥ 0 by coordinate descent from the given `x`, with `gradient` = Ax − b.
+/// Lowers ½xᵀAx − bᵀx over x ≥ 0 by coordinate descent from the given `x`, with `gradient` = Ax −
+/// b.
 ///
-/// `matrix` is n × n and symmetric; `gradient` is updated. Stops when no entry of a sweep lowers the objective by
-/// more than 10⁻¹² of the total decrease, or after `sweeps`.
+/// `matrix` is n × n and symmetric; `gradient` is updated. Stops when no entry of a sweep lowers
+/// the objective by more than 10⁻¹² of the total decrease, or after `sweeps`.
 pub fn descend_nonnegative(matrix: &[f64], x: &mut [f64], gradient: &mut [f64], sweeps: usize) {
     let n = x.len();
     let mut gained = 0.0;
@@ -213,10 +215,11 @@ fn add_multiple(sums: &mut [f64], row: &[f64], factor: f64) {
     sums.iter_mut().zip(row).for_each(|(sum, a)| *sum += factor * a);
 }
 
-/// Solution x of A x = `right` for a symmetric positive definite A, given as the function `apply` that multiplies by A, by conjugate
-/// gradients from x = 0 with a diagonal preconditioner `scale`.
+/// Solution x of A x = `right` for a symmetric positive definite A, given as the function `apply`
+/// that multiplies by A, by conjugate gradients from x = 0 with a diagonal preconditioner `scale`.
 ///
-/// Ends when the preconditioned squared residual is at most `tolerance` of that of the start, or after `rounds`.
+/// Ends when the preconditioned squared residual is at most `tolerance` of that of the start, or
+/// after `rounds`.
 pub fn conjugate_gradients(
     apply: impl Fn(&[f32]) -> Vec<f32>,
     right: Vec<f32>,

@@ -1,17 +1,18 @@
-//! The interface between a closed-form shading mode and the slice kernels of `shading`: one point × one lobe, and the
-//! terms prepared per point and per lobe.
+//! The interface between a closed-form shading mode and the slice kernels of `shading`: one point ×
+//! one lobe, and the terms prepared per point and per lobe.
 //!
-//! The kernels own the loops, the columns, the threads and the sums; a [`PairModel`] owns the formulas. Radiance of
-//! channel c is Σ over lobes of μ_c·(albedo_c/π·diffuse + Σ_b weight_bc·specular_b), where `diffuse` and the model's
-//! one or more specular terms `specular_b` belong to the pair and the weights to the point.
+//! The kernels own the loops, the columns, the threads and the sums; a [`PairModel`] owns the
+//! formulas. Radiance of channel c is Σ over lobes of μ_c·(albedo_c/π·diffuse + Σ_b
+//! weight_bc·specular_b), where `diffuse` and the model's one or more specular terms `specular_b`
+//! belong to the pair and the weights to the point.
 
 use crate::brdf::{SpecularAdjoint, SpecularValue};
 use crate::columns::ShadePoint;
 use crate::real::{Real, Vec3Of};
 use crate::sg::{Dual, Shape};
 
-/// A fixed number of values, at least one: the terms of a point, a lobe or a pair. Implemented for arrays, and for pairs of an array and an
-/// array of arrays.
+/// A fixed number of values, at least one: the terms of a point, a lobe or a pair. Implemented for
+/// arrays, and for pairs of an array and an array of arrays.
 pub trait Terms<F>: Copy {
     /// Number of values.
     const LEN: usize;
@@ -69,23 +70,27 @@ impl<F: Copy, const N: usize, const EACH: usize, const PARTS: usize> Terms<F>
     }
 }
 
-/// The part of a pair to compute: [`DIFFUSE`], [`SPECULAR`] or [`BOTH`]. The other part of the result is zero.
+/// The part of a pair to compute: [`DIFFUSE`], [`SPECULAR`] or [`BOTH`]. The other part of the
+/// result is zero.
 pub type Part = u8;
 /// The diffuse part alone.
 pub const DIFFUSE: Part = 1;
 /// The specular part alone.
 pub const SPECULAR: Part = 2;
-/// The specular part by the model's rule for lobes that are narrow against the point's response ([`PairModel::narrow`]).
+/// The specular part by the model's rule for lobes that are narrow against the point's response
+/// ([`PairModel::narrow`]).
 pub const NARROW: Part = 4;
-/// The specular part by the model's rule for lobes over which the point's response is smooth ([`PairModel::smooth`]).
+/// The specular part by the model's rule for lobes over which the point's response is smooth
+/// ([`PairModel::smooth`]).
 pub const SMOOTH: Part = 8;
 /// The rules for the specular part of a lobe.
 pub const RULES: [Part; 3] = [SPECULAR, NARROW, SMOOTH];
 /// Both.
 pub const BOTH: Part = DIFFUSE | SPECULAR;
 
-/// Bounds of the specular light that a point receives from a lobe (axis ξ, sharpness λ): at most about the light from an aligned lobe
-/// times e^(−aλ/(a + λ)·(1 − r·ξ)), and at most the lobe's irradiance times the BRDF's largest value.
+/// Bounds of the specular light that a point receives from a lobe (axis ξ, sharpness λ): at most
+/// about the light from an aligned lobe times e^(−aλ/(a + λ)·(1 − r·ξ)), and at most the lobe's
+/// irradiance times the BRDF's largest value.
 #[derive(Clone, Copy)]
 pub struct Reach<F> {
     /// r, a unit direction.
@@ -130,19 +135,23 @@ pub struct PointEnd<'a, M: PairModel> {
     pub frozen: &'a M::Frozen<f32>,
     /// Sums over the lobes of [`PairAdjoint::point`].
     pub sums: &'a M::Sums<f32>,
-    /// Per specular term and channel: adjoint of the channel's radiance × Σ over lobes of μ·specular.
+    /// Per specular term and channel: adjoint of the channel's radiance × Σ over lobes of
+    /// μ·specular.
     pub specular_light: &'a M::Specular<Vec3Of<f32>>,
 }
 
 /// Why a method of [`PairModel`] is not called.
 const CULLS_NOTHING: &str = "a model that culls nothing has no nodes";
 
-/// The formulas of a shading mode. All methods should be `#[inline(always)]`: they run inside SIMD loops.
+/// The formulas of a shading mode. All methods should be `#[inline(always)]`: they run inside SIMD
+/// loops.
 ///
-/// The methods with a default are called only if [`PairModel::CULLS`] (the rules for [`NARROW`] and [`SMOOTH`], only if the model has them).
+/// The methods with a default are called only if [`PairModel::CULLS`] (the rules for [`NARROW`] and
+/// [`SMOOTH`], only if the model has them).
 pub trait PairModel: Copy + Send + Sync {
-    /// Whether the kernels may skip the specular part of pairs by [`PairModel::reach`]. The kernels then evaluate the two parts of
-    /// such a model separately, and its specular part must not read the terms of the lobe.
+    /// Whether the kernels may skip the specular part of pairs by [`PairModel::reach`]. The kernels
+    /// then evaluate the two parts of such a model separately, and its specular part must not read
+    /// the terms of the lobe.
     const CULLS: bool;
     /// Whether there is a rule for narrow lobes, [`NARROW`].
     const HAS_NARROW: bool = false;
@@ -152,7 +161,8 @@ pub trait PairModel: Copy + Send + Sync {
     type Point<F: Copy>: Terms<F>;
     /// The terms of a point that only its weights and the last part of its adjoint read.
     type Frozen<F: Copy>: Terms<F>;
-    /// The terms of a lobe that a pair reads in addition to the shape: computed from the sharpness once per call, stored in columns.
+    /// The terms of a lobe that a pair reads in addition to the shape: computed from the sharpness
+    /// once per call, stored in columns.
     type Lobe<F: Copy>: Terms<F>;
     /// Where the nodes of a pair's specular part lie.
     type Placed<F: Copy>: Copy;
@@ -184,8 +194,8 @@ pub trait PairModel: Copy + Send + Sync {
         unreachable!("{CULLS_NOTHING}")
     }
 
-    /// How narrow a lobe is against the response of the point, and what the BRDF's largest value may be divided by for its axis. From 1
-    /// on the lobe is for [`NARROW`].
+    /// How narrow a lobe is against the response of the point, and what the BRDF's largest value
+    /// may be divided by for its axis. From 1 on the lobe is for [`NARROW`].
     fn narrow<F: Real>(&self, _point: &Self::Point<F>, _shape: &Shape<F>) -> (F, F) {
         unreachable!("{CULLS_NOTHING}")
     }
@@ -195,8 +205,9 @@ pub trait PairModel: Copy + Send + Sync {
         false
     }
 
-    /// How smooth the response of the point is over a lobe, given its axis times that of [`PairModel::reach`]. Above 0 the lobe is
-    /// for [`SMOOTH`], unless the model has [`NARROW`] and the lobe is not for that.
+    /// How smooth the response of the point is over a lobe, given its axis times that of
+    /// [`PairModel::reach`]. Above 0 the lobe is for [`SMOOTH`], unless the model has [`NARROW`]
+    /// and the lobe is not for that.
     fn smooth<F: Real>(&self, _point: &Self::Point<F>, _shape: &Shape<F>, _reached: F) -> F {
         unreachable!("{CULLS_NOTHING}")
     }
@@ -206,7 +217,8 @@ pub trait PairModel: Copy + Send + Sync {
         unreachable!("{CULLS_NOTHING}")
     }
 
-    /// Places the nodes of the specular part `PART` of a pair, given 1/√λ of the lobe, and for [`SMOOTH`] the irradiance from it.
+    /// Places the nodes of the specular part `PART` of a pair, given 1/√λ of the lobe, and for
+    /// [`SMOOTH`] the irradiance from it.
     fn place<F: Real, const PART: Part>(
         &self,
         _point: &Self::Point<F>,
@@ -217,7 +229,8 @@ pub trait PairModel: Copy + Send + Sync {
         unreachable!("{CULLS_NOTHING}")
     }
 
-    /// [`PairModel::place`] for two pairs of a point together, which takes less time than one after the other.
+    /// [`PairModel::place`] for two pairs of a point together, which takes less time than one after
+    /// the other.
     fn place_two<F: Real, const PART: Part>(
         &self,
         _point: &Self::Point<F>,
@@ -257,7 +270,8 @@ pub trait PairModel: Copy + Send + Sync {
         lobe: &Self::Lobe<F>,
     ) -> Response<F, Self::Specular<F>>;
 
-    /// Evaluates one point × lobe and, given the adjoint of its response, the adjoints of its inputs.
+    /// Evaluates one point × lobe and, given the adjoint of its response, the adjoints of its
+    /// inputs.
     fn pull_back<F: Real, const PART: Part>(
         &self,
         point: &Self::Point<F>,
@@ -266,6 +280,7 @@ pub trait PairModel: Copy + Send + Sync {
         adjoint: &Response<F, Self::Specular<F>>,
     ) -> PulledBack<F, Self>;
 
-    /// Finishes the adjoint of a point: returns the adjoint of its normal, and adds the adjoint of the specular material to `gradient`.
+    /// Finishes the adjoint of a point: returns the adjoint of its normal, and adds the adjoint of
+    /// the specular material to `gradient`.
     fn pull_back_point(&self, end: &PointEnd<'_, Self>, gradient: &mut SpecularAdjoint) -> Vec3Of<f32>;
 }

@@ -1,4 +1,5 @@
-//! Rays, hits, and the two interfaces of a scene: intersection of rays with the surface, and incident light.
+//! Rays, hits, and the two interfaces of a scene: intersection of rays with the surface, and
+//! incident light.
 
 use glam::{Vec2, Vec3};
 
@@ -48,8 +49,9 @@ pub struct Hit {
 pub trait Intersect: Send + Sync {
     /// Nearest hit at a distance in `(min_distance, ∞)`.
     fn intersect(&self, ray: &Ray, min_distance: f32) -> Option<Hit>;
-    /// [`Self::intersect`] of rays from one origin: `hits[i]` becomes that of `directions[i]`. Surfaces may be faster if directions are near those
-    /// beside them; the default implementation casts one ray after another. There are as many hits as directions.
+    /// [`Self::intersect`] of rays from one origin: `hits[i]` becomes that of `directions[i]`.
+    /// Surfaces may be faster if directions are near those beside them; the default implementation
+    /// casts one ray after another. There are as many hits as directions.
     fn intersect_packet(
         &self,
         origin: Vec3,
@@ -63,11 +65,13 @@ pub trait Intersect: Send + Sync {
     }
     /// Whether there is a hit at a distance in `(min_distance, max_distance)`.
     fn occluded(&self, ray: &Ray, min_distance: f32, max_distance: f32) -> bool;
-    /// Radius of a ball around the surface, world units; small offsets are relative to it. The default implementation returns 1.
+    /// Radius of a ball around the surface, world units; small offsets are relative to it. The
+    /// default implementation returns 1.
     fn radius(&self) -> f32 {
         1.0
     }
-    /// Corners (least and greatest) of a box around the surface, world units. The default implementation does not know one.
+    /// Corners (least and greatest) of a box around the surface, world units. The default
+    /// implementation does not know one.
     fn bounds(&self) -> Option<(Vec3, Vec3)> {
         None
     }

@@ -1,11 +1,12 @@
-//! The number type that kernels are generic over: `f32` to run, `f64` to test, a SIMD vector of `f32` to run fast.
+//! The number type that kernels are generic over: `f32` to run, `f64` to test, a SIMD vector of
+//! `f32` to run fast.
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
 /// A real number, or a short vector of real numbers with operations per lane.
 ///
-/// Constants are made from an existing value (`x.lit(0.5)`), because a SIMD type needs its level token. Choices
-/// are written with [`Real::select_lt`], because lanes cannot branch.
+/// Constants are made from an existing value (`x.lit(0.5)`), because a SIMD type needs its level
+/// token. Choices are written with [`Real::select_lt`], because lanes cannot branch.
 pub trait Real:
     Copy
     + Add<Output = Self>
@@ -21,8 +22,8 @@ pub trait Real:
     fn sqrt(self) -> Self;
     /// e to the power of `self`.
     fn exp(self) -> Self;
-    /// e to the power of `self` ≤ 0; vectors return e^−50 for arguments below −50, since products of smaller numbers
-    /// are subnormal, which is slow.
+    /// e to the power of `self` ≤ 0; vectors return e^−50 for arguments below −50, since products
+    /// of smaller numbers are subnormal, which is slow.
     fn decay(self) -> Self;
     /// Larger of the two.
     fn max(self, other: Self) -> Self;
@@ -38,7 +39,8 @@ pub trait Real:
     fn copysign(self, sign: Self) -> Self;
     /// `self * a + b`, fused where the hardware supports it.
     fn mul_add(self, a: Self, b: Self) -> Self;
-    /// 1 / self for `self` in [1e-37, 1e37] only; vectors may have a relative error of 3e-7, which saves a division.
+    /// 1 / self for `self` in [1e-37, 1e37] only; vectors may have a relative error of 3e-7, which
+    /// saves a division.
     fn inverse(self) -> Self;
 
     /// Zero.
@@ -76,7 +78,8 @@ pub trait Real:
     fn quick_rsqrt(self) -> Self {
         self.sqrt().recip()
     }
-    /// 1 / √self for positive, normal `self`, with a relative error of 2e-3: for where nodes lie, not for their weights.
+    /// 1 / √self for positive, normal `self`, with a relative error of 2e-3: for where nodes lie,
+    /// not for their weights.
     fn rough_rsqrt(self) -> Self;
     /// `self` if positive, else 0.
     #[inline(always)]

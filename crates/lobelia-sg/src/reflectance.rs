@@ -1,10 +1,12 @@
-//! How much light the specular part of a BRDF reflects toward a viewer from all sides: the directional–hemispherical reflectance
+//! How much light the specular part of a BRDF reflects toward a viewer from all sides: the
+//! directional–hemispherical reflectance
 //!
 //! E(c) = ∫ f_s(v, ω) (n·ω) dω, with c = n·v,
 //!
-//! by quadrature over half vectors that follow the distribution of normals. There are two BRDFs: that of the PhySG supplement
-//! ([`crate::brdf`]), and that of glTF 2.0 (appendix B), with which other programs show an object: GGX, the height-correlated Smith
-//! term, and Schlick's F = F0 + (F90 − F0)(1 − v·h)⁵. Both are affine in what their F depends on.
+//! by quadrature over half vectors that follow the distribution of normals. There are two BRDFs:
+//! that of the PhySG supplement ([`crate::brdf`]), and that of glTF 2.0 (appendix B), with which
+//! other programs show an object: GGX, the height-correlated Smith term, and Schlick's F = F0 +
+//! (F90 − F0)(1 − v·h)⁵. Both are affine in what their F depends on.
 
 use crate::brdf::{Facets, Ndf, fresnel_power, ndf_sharpness, shadowing_k, shadowing_over_cosine};
 use std::f64::consts::PI;
@@ -20,7 +22,8 @@ pub fn cosine(i: usize) -> f64 {
     (i as f64 + 0.5) / ANGLES as f64
 }
 
-/// Weight of cosine number `i` in means over the hemisphere, 2c per step of c. The weights sum to one.
+/// Weight of cosine number `i` in means over the hemisphere, 2c per step of c. The weights sum to
+/// one.
 pub fn weight(i: usize) -> f64 {
     2.0 * cosine(i) / ANGLES as f64
 }
@@ -38,7 +41,8 @@ pub fn specular_reflectance(facets: Facets<f64>, cosine: f64) -> (f64, f64) {
     };
     mean_over_half_vectors(cosine, height, |facing, cos_light, up| {
         let shadowing = shadowing_over_cosine(cosine, k) * shadowing_over_cosine(cos_light, k);
-        // f_s cos over the density D/(4 v·h) of directions to the light, or D (n·h)/(4 v·h) for GGX.
+        // f_s cos over the density D/(4 v·h) of directions to the light, or D (n·h)/(4 v·h) for
+        // GGX.
         let density = match facets.ndf {
             Ndf::Sg => whole,
             Ndf::Ggx => up.recip(),
@@ -70,8 +74,8 @@ fn ggx_height(u: f64, alpha2: f64) -> f64 {
     ((1.0 - u) / ((alpha2 - 1.0).mul_add(u, 1.0))).sqrt()
 }
 
-/// The mean of `value(v·h, n·l, n·h)` over half vectors h at heights `height(u)`, u even in (0, 1), all around the normal; those
-/// that mirror the viewer below the horizon count as zero.
+/// The mean of `value(v·h, n·l, n·h)` over half vectors h at heights `height(u)`, u even in (0, 1),
+/// all around the normal; those that mirror the viewer below the horizon count as zero.
 fn mean_over_half_vectors(
     cosine: f64,
     height: impl Fn(f64) -> f64,

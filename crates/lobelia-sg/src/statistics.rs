@@ -1,6 +1,7 @@
 //! Order statistics of few values.
 
-/// The value below which a share of the values lies (nearest rank); `None` for no values. Values are finite; they are reordered.
+/// The value below which a share of the values lies (nearest rank); `None` for no values. Values
+/// are finite; they are reordered.
 pub fn quantile(values: &mut [f32], share: f32) -> Option<f32> {
     let last = values.len().checked_sub(1)?;
     let rank = (share.clamp(0.0, 1.0) * last as f32).round() as usize;

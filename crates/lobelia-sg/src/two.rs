@@ -1,7 +1,8 @@
 //! Two numbers at a time, as one number.
 //!
-//! The formulas of a pair are one long chain of dependent operations, most of whose time is waiting. With two vectors in one number,
-//! the processor works on one while it waits for the other.
+//! The formulas of a pair are one long chain of dependent operations, most of whose time is
+//! waiting. With two vectors in one number, the processor works on one while it waits for the
+//! other.
 
 use crate::real::Real;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};

@@ -1,7 +1,7 @@
 //! A reproducible batch of points and lobes to measure and test kernels with.
 //!
-//! Points have uniform normals and views uniform above them; lobes lie on Fibonacci axes with sharpness
-//! 20 + 100·|N(0, 1)|; the specular material is one lobe.
+//! Points have uniform normals and views uniform above them; lobes lie on Fibonacci axes with
+//! sharpness 20 + 100·|N(0, 1)|; the specular material is one lobe.
 
 use crate::shading::{
     ClosedForm, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, RadianceColumns, ShadePoint,

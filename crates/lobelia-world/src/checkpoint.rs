@@ -1,10 +1,12 @@
-//! Checkpoints: what a run depends on from here on, so that a process that was killed goes on with the same bits.
+//! Checkpoints: what a run depends on from here on, so that a process that was killed goes on with
+//! the same bits.
 //!
-//! A plugin says which of its resources and components are state, by name ([`keep_resource`], [`keep_pool`],
-//! [`keep_keyed`], [`keep_each`]); all else is derived from these and from the scene by the code that a resumed run goes
-//! through again. State is saved at the end of each pass, and within a pass that takes long at the end of its parts, such
-//! as a level of a `Shape`. A part begins from nothing but state: a resumed run goes through the beginning of the pass,
-//! takes up the state of the part, and goes on.
+//! A plugin says which of its resources and components are state, by name ([`keep_resource`],
+//! [`keep_pool`], [`keep_keyed`], [`keep_each`]); all else is derived from these and from the scene
+//! by the code that a resumed run goes through again. State is saved at the end of each pass, and
+//! within a pass that takes long at the end of its parts, such as a level of a `Shape`. A part
+//! begins from nothing but state: a resumed run goes through the beginning of the pass, takes up
+//! the state of the part, and goes on.
 //!
 //! Nothing here knows of files: [`Checkpoints`] has a function that writes.
 
@@ -66,7 +68,8 @@ pub struct Checkpoints {
 }
 
 impl Checkpoints {
-    /// Checkpoints of a run that begins with `pass`, or goes on from a part of it. One in the middle of a part is due after `every`.
+    /// Checkpoints of a run that begins with `pass`, or goes on from a part of it. One in the
+    /// middle of a part is due after `every`.
     pub fn new(write: Write, every: Duration, pass: u32, ahead: Option<Saved>) -> Self {
         Self { write, pass, every, since: Instant::now(), ahead }
     }
@@ -77,7 +80,8 @@ pub fn is_due(world: &World) -> bool {
     world.get_resource::<Checkpoints>().is_some_and(|kept| kept.since.elapsed() >= kept.every)
 }
 
-/// Whether checkpoints are kept: not once a run was stopped, for what it writes then is not what it would have found.
+/// Whether checkpoints are kept: not once a run was stopped, for what it writes then is not what it
+/// would have found.
 pub fn are_kept(world: &World) -> bool {
     stopped_by().is_none() && world.contains_resource::<Checkpoints>()
 }
@@ -103,7 +107,8 @@ pub fn keep_part(world: &mut World, saved: &Saved) -> Result<()> {
     (kept.write)(point, saved)
 }
 
-/// Whether a resumed run goes on from a part of the pass at work, so that what comes before it need not be found again.
+/// Whether a resumed run goes on from a part of the pass at work, so that what comes before it need
+/// not be found again.
 pub fn has_part_ahead(world: &World) -> bool {
     world.get_resource::<Checkpoints>().is_some_and(|kept| kept.ahead.is_some())
 }
@@ -167,8 +172,9 @@ pub fn keep_pool<I: PoolIndex, T: StateComponent>(world: &mut World, span: Span)
     });
 }
 
-/// Registers a component of a few entities that a filter selects, by a number `K` that is the same in every run of a scene,
-/// such as that of a base material: it does not matter in which order they are spawned.
+/// Registers a component of a few entities that a filter selects, by a number `K` that is the same
+/// in every run of a scene, such as that of a base material: it does not matter in which order they
+/// are spawned.
 pub fn keep_keyed<K: StateComponent + Ord, T: StateComponent, F: QueryFilter + 'static>(
     world: &mut World,
     span: Span,
@@ -179,15 +185,16 @@ pub fn keep_keyed<K: StateComponent + Ord, T: StateComponent, F: QueryFilter + '
     });
 }
 
-/// Registers a component of a few entities that a filter selects and that nothing tells apart, such as light lobes. They
-/// are known by the order in which they were spawned: a run that is resumed must spawn them in that order, before anything
-/// is found, and never sort them.
+/// Registers a component of a few entities that a filter selects and that nothing tells apart, such
+/// as light lobes. They are known by the order in which they were spawned: a run that is resumed
+/// must spawn them in that order, before anything is found, and never sort them.
 pub fn keep_each<T: StateComponent, F: QueryFilter + 'static>(world: &mut World, span: Span) {
     keep_component::<T, F, _, _>(world, type_name::<(T, F)>(), span, |entity| (entity.id(), ()));
 }
 
-/// Registers a component of the entities that `F` selects. `key` gives the order in which their values are saved, and what of
-/// it is saved beside a value, to be the same again when it is loaded.
+/// Registers a component of the entities that `F` selects. `key` gives the order in which their
+/// values are saved, and what of it is saved beside a value, to be the same again when it is
+/// loaded.
 fn keep_component<T, F, O, K>(world: &mut World, name: &'static str, span: Span, key: fn(EntityRef) -> (O, K))
 where
     T: StateComponent,
@@ -216,7 +223,8 @@ where
             let (found, kept) = (rows.len(), saved.len());
             return Err(foreign(&format!("{kept} values of {name} for {found} entities")));
         }
-        // In the order in which a system would insert them: tables keep it, and sums over these entities depend on it.
+        // In the order in which a system would insert them: tables keep it, and sums over these
+        // entities depend on it.
         let mut values = vec![None; rows.len()];
         for ((_, at, entity, ..), (_, value)) in rows.into_iter().zip(saved) {
             values[at] = Some((entity, value));

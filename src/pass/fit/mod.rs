@@ -43,7 +43,8 @@ use std::{path::Path, sync::Arc, time::Instant};
 use steps::{begin_log, take_log, take_steps_and_choose};
 use tracing::info_span;
 
-/// A picture of the light of the object that took its own photographs, as `environment.png` is of the recovered one.
+/// A picture of the light of the object that took its own photographs, as `environment.png` is of
+/// the recovered one.
 pub(crate) const TRUE_ENVIRONMENT: &str = "true_environment.png";
 
 /// Size of the picture of the recovered light, in texels.
@@ -106,7 +107,8 @@ pub(crate) fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     if summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
 }
 
-/// Fills the texels that no view sees from their neighbors; returns the number of covered texels among them.
+/// Fills the texels that no view sees from their neighbors; returns the number of covered texels
+/// among them.
 fn fill_texels(session: &mut Session) -> Result<usize> {
     let unknowns = session.unknowns();
     let world = &mut session.pipeline.world;
@@ -183,7 +185,8 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
     }
 }
 
-/// Writes the light, the albedo texture and the material (with blend weights, if it has several base materials).
+/// Writes the light, the albedo texture and the material (with blend weights, if it has several
+/// base materials).
 fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &ScaleFound) -> Result<()> {
     write_light(&own_lobes(world), folder, "")?;
     for (number, (lobes, _)) in (2..).zip(other_lights(world)) {
@@ -229,7 +232,8 @@ fn write_light(lobes: &[LightLobe], folder: &Path, suffix: &str) -> Result<()> {
     write_map_exr(&write_environment(&png, lobes)?, exr)
 }
 
-/// The files of a recovered light: its lobes, as a map, as a picture. Those of further groups of photographs have a suffix: `_2`, `_3` …
+/// The files of a recovered light: its lobes, as a map, as a picture. Those of further groups of
+/// photographs have a suffix: `_2`, `_3` …
 pub(crate) fn light_files(suffix: &str) -> [String; 3] {
     [format!("light{suffix}.npy"), format!("environment{suffix}.exr"), format!("environment{suffix}.png")]
 }
@@ -262,8 +266,9 @@ fn materials_ron(materials: &[(usize, SpecularLobe)], scale: &ScaleFound) -> Str
     text
 }
 
-/// Writes `cam_dict_norm.json` (PhySG's layout, training views; in the convention of the input, for images of the fitted size) if cameras
-/// moved, and `exposures.csv` if photographs have exposures of their own, to the folder of a pass, and prints how far cameras moved.
+/// Writes `cam_dict_norm.json` (PhySG's layout, training views; in the convention of the input, for
+/// images of the fitted size) if cameras moved, and `exposures.csv` if photographs have exposures
+/// of their own, to the folder of a pass, and prints how far cameras moved.
 pub(crate) fn write_views(session: &mut Session, name: &str, cameras: CameraUnknowns) -> Result<()> {
     let folder = session.out.join(name);
     if cameras != CameraUnknowns::Given {
@@ -364,7 +369,8 @@ fn write_exposures(world: &mut World, folder: &Path) -> Result<()> {
     write_bytes(&path, text.as_bytes())
 }
 
-/// Makes the texture as fine as the photographs, if it is not, and solves for its albedo, sheen and tilt.
+/// Makes the texture as fine as the photographs, if it is not, and solves for its albedo, sheen and
+/// tilt.
 fn refine_texture(session: &mut Session, pass: &FitPass, options: &FitOptions) -> Result<()> {
     let _detail = info_span!("texture").entered();
     let start = Instant::now();
@@ -398,7 +404,8 @@ fn refine_texture(session: &mut Session, pass: &FitPass, options: &FitOptions) -
     Ok(())
 }
 
-/// The whole factor that makes a texel about a pixel wide in the median training photograph, as far as [`finest_side`] lets it.
+/// The whole factor that makes a texel about a pixel wide in the median training photograph, as far
+/// as [`finest_side`] lets it.
 fn factor_for(session: &mut Session) -> u32 {
     let (middle, _) = session.surface.bounding_sphere();
     let world = &mut session.pipeline.world;
@@ -415,8 +422,8 @@ fn factor_for(session: &mut Session) -> u32 {
     ((atlas.texel_size() / pixel).round() as u32).min(most).max(1)
 }
 
-/// Replaces the texels by texels whose material is that of the old ones at these places: albedo and sheen between them, the rest of
-/// the nearest.
+/// Replaces the texels by texels whose material is that of the old ones at these places: albedo and
+/// sheen between them, the rest of the nearest.
 fn divide_texels(world: &mut World, from: &[TexelAddress]) -> Result<()> {
     let albedo: Vec<Vec3> = recovered_albedo(world)?;
     let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;

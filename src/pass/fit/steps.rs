@@ -1,22 +1,27 @@
-//! The steps of a `Fit`: its settings, its log, the geometry that moves with it, and the choices that it makes on its way: whether the
-//! surface has one base material or several, where the scene leaves that to the photographs ([`Gloss::Auto`]), and whether one base
-//! material has spherical Gaussians or GGX as its distribution of microfacet normals ([`NdfChoice::Auto`]). Measured in
+//! The steps of a `Fit`: its settings, its log, the geometry that moves with it, and the choices
+//! that it makes on its way: whether the surface has one base material or several, where the scene
+//! leaves that to the photographs ([`Gloss::Auto`]), and whether one base material has spherical
+//! Gaussians or GGX as its distribution of microfacet normals ([`NdfChoice::Auto`]). Measured in
 //! `docs/research/fit.md`.
 //!
-//! A pixel's error is measured before a step moves anything, and of two hundred photographs or of large ones most pixels are visited for
-//! the first time in the steps of a trial: both materials are judged by what they have not been fitted to. A trial that is hopeless ends
-//! early, and the fit goes on with what was tried only if its error is clearly less; else as if nothing had been tried.
+//! A pixel's error is measured before a step moves anything, and of two hundred photographs or of
+//! large ones most pixels are visited for the first time in the steps of a trial: both materials
+//! are judged by what they have not been fitted to. A trial that is hopeless ends early, and the
+//! fit goes on with what was tried only if its error is clearly less; else as if nothing had been
+//! tried.
 //!
-//! *Several materials.* The fit begins with one. If that explains the photographs badly after the first of [`TRIED`] steps, two are tried,
-//! a dielectric and one that may be metal ([`metal`](lobelia_solve::fit::metal)), for as many steps over the same pixels; light and albedo
-//! then begin from an initialization as far as they are unknown, because what one material made of them is wrong. After a `Shape` one
-//! material begins with a light and an albedo that were fitted with it, and several begin anew. So where several are better after a
-//! hundred steps, but not clearly, they are tried again for more steps: a copper kettle with a black handle has 0.97 of the error after
-//! 100 steps and 0.67 after 300, a chair 0.97 and 0.98.
+//! *Several materials.* The fit begins with one. If that explains the photographs badly after the
+//! first of [`TRIED`] steps, two are tried, a dielectric and one that may be metal
+//! ([`metal`](lobelia_solve::fit::metal)), for as many steps over the same pixels; light and albedo
+//! then begin from an initialization as far as they are unknown, because what one material made of
+//! them is wrong. After a `Shape` one material begins with a light and an albedo that were fitted
+//! with it, and several begin anew. So where several are better after a hundred steps, but not
+//! clearly, they are tried again for more steps: a copper kettle with a black handle has 0.97 of
+//! the error after 100 steps and 0.67 after 300, a chair 0.97 and 0.98.
 //!
-//! *GGX.* After [`NDF_TRIED`] steps with the spherical Gaussian the fit takes as many with GGX in its place, from the same light and
-//! albedo; then it goes back and takes the same steps as it is. Where cameras or vertices are fitted too, they move in the second half of
-//! the comparison only.
+//! *GGX.* After [`NDF_TRIED`] steps with the spherical Gaussian the fit takes as many with GGX in
+//! its place, from the same light and albedo; then it goes back and takes the same steps as it is.
+//! Where cameras or vertices are fitted too, they move in the second half of the comparison only.
 
 use crate::pass::run::session::{Chosen, Session};
 use crate::pass::{run::progress::Moment, run::resume::keep, run::resume::resume_part, show::apply_edits};
@@ -47,7 +52,8 @@ use std::fmt::Write as _;
 use std::{ops::ControlFlow, sync::Arc, time::Instant};
 use tracing::info_span;
 
-/// Steps with one material before a choice, and with several for it; the second choice is made only if the first was close.
+/// Steps with one material before a choice, and with several for it; the second choice is made only
+/// if the first was close.
 const TRIED: [u32; 2] = [100, 300];
 /// A choice is made only in a fit of at least this many times the steps before it.
 const LEAST_STEPS: u32 = 3;
@@ -58,18 +64,22 @@ const CLEARLY: f64 = 0.9;
 /// [`CLEARLY`] for a surface whose normals were found from reflections: it is polished at least in
 /// parts. `head` at half size has 0.906 there, and 0.5 dB more with two in the end.
 const CLEARLY_POLISHED: f64 = 0.95;
-/// Steps of the first trial after which it ends if its error is so many times that of one. Several begin anew: where they are better in the end, their error first
-/// rises to 1.3 times that of one; where they are worse, to 1.8 (a sphere) or 3.3 times (`cheburashka`).
+/// Steps of the first trial after which it ends if its error is so many times that of one. Several
+/// begin anew: where they are better in the end, their error first rises to 1.3 times that of one;
+/// where they are worse, to 1.8 (a sphere) or 3.3 times (`cheburashka`).
 const HOPELESS: (u32, f64) = (20, 2.2);
 
 /// Steps before the trial, and of the trial.
 const NDF_TRIED: u32 = 100;
-/// A choice is made only in a fit of at least this many steps: vertices begin to move after a quarter of them.
+/// A choice is made only in a fit of at least this many steps: vertices begin to move after a
+/// quarter of them.
 const NDF_LEAST_STEPS: u32 = 800;
 /// PSNR of linear radiance, in dB, from which nothing is tried: there is little left to explain.
 const NDF_EXPLAINED: f64 = 40.0;
-/// Steps of the trial after which it ends if its error is so many times that of the spherical Gaussian before it. After 20 steps it is 1.3 times that on spheres of
-/// GGX, and after 50 steps 0.8 times; on `cheburashka`, which has none, 1.4 and 1.3 times, and on `spot` 2.2 times after 20.
+/// Steps of the trial after which it ends if its error is so many times that of the spherical
+/// Gaussian before it. After 20 steps it is 1.3 times that on spheres of GGX, and after 50 steps
+/// 0.8 times; on `cheburashka`, which has none, 1.4 and 1.3 times, and on `spot` 2.2 times after
+/// 20.
 const NDF_HOPELESS: [(u32, f64); 2] = [(20, 1.6), (50, 1.15)];
 /// Error with GGX relative to that of the spherical Gaussian below which it is chosen.
 const NDF_CLEARLY: f64 = 0.975;
@@ -77,7 +87,8 @@ const NDF_CLEARLY: f64 = 0.975;
 /// Settings and results of the steps so far.
 type Taken = (FitSummary, FitOptions);
 
-/// Takes the steps of a fit, and chooses on the way if that is open. Also returns its final settings.
+/// Takes the steps of a fit, and chooses on the way if that is open. Also returns its final
+/// settings.
 pub(super) fn take_steps_and_choose(session: &mut Session, pass: &FitPass) -> Result<Taken> {
     if !resume_part(session)? {
         let is_open = is_open(session, pass)? || ndf_is_open(session, pass);
@@ -102,8 +113,8 @@ pub(super) fn take_steps_and_choose(session: &mut Session, pass: &FitPass) -> Re
     }
 }
 
-/// Takes the steps until the next pause, with a choice if the photographs are explained badly where that is asked; what they
-/// have come to goes to `before`. Returns whether they were the last.
+/// Takes the steps until the next pause, with a choice if the photographs are explained badly where
+/// that is asked; what they have come to goes to `before`. Returns whether they were the last.
 fn take_steps_to_pause(session: &mut Session, pass: &FitPass, before: &mut Option<Taken>) -> Result<bool> {
     let options = options(session, pass, session.kept.chosen.done)?;
     if let Some(summary) = session.kept.chosen.finished {
@@ -153,7 +164,8 @@ fn answer(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     Ok(())
 }
 
-/// The steps after which several materials are tried again in a fit of `steps`; `None` if one was as good, or if too few steps would be left.
+/// The steps after which several materials are tried again in a fit of `steps`; `None` if one was
+/// as good, or if too few steps would be left.
 fn asked_again(tried: MaterialsTried, steps: u32) -> Option<u32> {
     let next = TRIED.into_iter().find(|&next| next > tried.steps);
     next.filter(|next| tried.several < tried.one && steps >= LEAST_STEPS * next)
@@ -218,7 +230,8 @@ fn choose(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     Ok(())
 }
 
-/// The error of several materials after the same steps, or those after which it was given up, for it was [`HOPELESS`] beside that of `one`.
+/// The error of several materials after the same steps, or those after which it was given up, for
+/// it was [`HOPELESS`] beside that of `one`.
 fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions, one: &Steps) -> Result<Tried> {
     let _trying = info_span!("several materials tried").entered();
     let scene = session.scene;
@@ -272,7 +285,8 @@ fn decided_after(session: &Session) -> Option<u32> {
     Some(tried?.steps)
 }
 
-/// Takes the steps of the trial with GGX from here, after those with the spherical Gaussian, and goes back.
+/// Takes the steps of the trial with GGX from here, after those with the spherical Gaussian, and
+/// goes back.
 fn try_ggx(session: &mut Session, pass: &FitPass, sg: &Steps) -> Result<()> {
     let _trying = info_span!("ggx tried").entered();
     let options = FitOptions {
@@ -298,7 +312,8 @@ fn try_ggx(session: &mut Session, pass: &FitPass, sg: &Steps) -> Result<()> {
     Ok(())
 }
 
-/// Decides, after the same steps with the spherical Gaussian; GGX begins with the light and albedo of these, and the lobe of the trial.
+/// Decides, after the same steps with the spherical Gaussian; GGX begins with the light and albedo
+/// of these, and the lobe of the trial.
 fn decide(session: &mut Session, pass: &FitPass, sg: &Steps) {
     let Some(mut tried) = session.scores.ndf_tried else { return };
     tried.sg = Some(sg.error);
@@ -371,7 +386,8 @@ fn options(session: &mut Session, pass: &FitPass, done: Done) -> Result<FitOptio
         pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize, evenly: true },
         keeps_pool: true,
         initialize: session.kept.initialize,
-        // The published formulas are for comparison and include neither shadows nor interreflection.
+        // The published formulas are for comparison and include neither shadows nor
+        // interreflection.
         visibility: pass.shading == FitShading::Accurate && session.has_visibility()?,
         looks_for_sheen: session.scene.material.sheen == Sheen::Auto,
         exposure: pass.exposure,
@@ -402,8 +418,9 @@ struct Steps {
     pub ended: Ended,
 }
 
-/// Takes steps of a fit; ends at the step that is `asked` about if the PSNR is below the given one there, and where a
-/// checkpoint is due, if cameras and vertices stand still. What it has found is checked, and kept also if it is stopped.
+/// Takes steps of a fit; ends at the step that is `asked` about if the PSNR is below the given one
+/// there, and where a checkpoint is due, if cameras and vertices stand still. What it has found is
+/// checked, and kept also if it is stopped.
 fn take_steps(
     session: &mut Session,
     pass: &FitPass,
@@ -471,11 +488,12 @@ fn take_steps(
     Ok(Steps { summary, error, psnr, ended })
 }
 
-/// The mean absolute error of radiance over the last steps of a trial, and after how many it was given up, if it was.
+/// The mean absolute error of radiance over the last steps of a trial, and after how many it was
+/// given up, if it was.
 type Tried = (f64, Option<u32>);
 
-/// Takes steps on trial, without a log and with geometry as it is. It is given up when it is `hopeless` by their number, and by the
-/// error over enough pixels.
+/// Takes steps on trial, without a log and with geometry as it is. It is given up when it is
+/// `hopeless` by their number, and by the error over enough pixels.
 fn error_after(
     session: &mut Session,
     options: &FitOptions,
@@ -501,7 +519,8 @@ fn error_after(
     Ok((error, given_up))
 }
 
-/// Makes the next step find shadows and reflected light anew, as one that goes on from a checkpoint does.
+/// Makes the next step find shadows and reflected light anew, as one that goes on from a checkpoint
+/// does.
 fn forget_shadows(world: &mut World) {
     if let Some(traced) = world.get_resource::<ObjectVisibility>() {
         let unlit = traced.unlit();

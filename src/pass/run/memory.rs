@@ -1,4 +1,5 @@
-//! The memory that a run may take: known before it begins, and kept by smaller pools or refused; and the machine that it works on.
+//! The memory that a run may take: known before it begins, and kept by smaller pools or refused;
+//! and the machine that it works on.
 
 use crate::survey::{counted, estimate::estimate, estimate::memory, look::ViewLook};
 use crate::{pass::run::progress::Progress, scene::Pass, scene::Scene};
@@ -38,7 +39,8 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
     is_usual.then_some(bytes as u64).ok_or_else(|| "give an amount such as 8GiB or 500MiB".to_owned())
 }
 
-/// The scene as it keeps to `bytes` of memory with these views: the same if it does, else with smaller pools, which a note tells.
+/// The scene as it keeps to `bytes` of memory with these views: the same if it does, else with
+/// smaller pools, which a note tells.
 ///
 /// # Errors
 /// [`Error::Usage`] with the memory that would do, if the smallest pools take too much.
@@ -98,14 +100,16 @@ fn with_pools(scene: &Scene, most: u32) -> Scene {
     scene
 }
 
-/// The memory that this machine lets a process have, in bytes: what is built in, less what its control groups and its own address space are
-/// limited to. Only Linux says it, in text files; `None` if the memory of the machine is unknown.
+/// The memory that this machine lets a process have, in bytes: what is built in, less what its
+/// control groups and its own address space are limited to. Only Linux says it, in text files;
+/// `None` if the memory of the machine is unknown.
 fn machine_memory() -> Option<u64> {
     let groups = ["/sys/fs/cgroup", "/sys/fs/cgroup/memory"].map(Path::new);
     least_limit(Path::new("/proc"), groups)
 }
 
-/// The least limit that the files of processes and the folders of control groups of version 2 and 1 say.
+/// The least limit that the files of processes and the folders of control groups of version 2 and 1
+/// say.
 fn least_limit(processes: &Path, groups: [&Path; 2]) -> Option<u64> {
     let total = read_to_string(processes.join("meminfo")).ok()?;
     let total = total.lines().find_map(|line| line.strip_prefix("MemTotal:"))?.trim().strip_suffix("kB")?;
@@ -120,8 +124,8 @@ fn least_limit(processes: &Path, groups: [&Path; 2]) -> Option<u64> {
     Some(of_groups.chain(space).fold(total, u64::min))
 }
 
-/// The files with the limits of the groups in `/proc/self/cgroup` and of all groups that these are in. A container sees its own group as
-/// the uppermost.
+/// The files with the limits of the groups in `/proc/self/cgroup` and of all groups that these are
+/// in. A container sees its own group as the uppermost.
 fn group_files(text: &str, [unified, memory]: [&Path; 2]) -> Vec<PathBuf> {
     let mut files = vec![unified.join("memory.max"), memory.join("memory.limit_in_bytes")];
     for line in text.lines() {

@@ -1,4 +1,5 @@
-//! A run: the passes of a scene, from the check of the output folder to the last line of its record.
+//! A run: the passes of a scene, from the check of the output folder to the last line of its
+//! record.
 //!
 //! | module | holds |
 //! | --- | --- |
@@ -62,7 +63,8 @@ pub struct RunOptions {
     pub resume: bool,
     /// The device of closed-form shading; `None`: this processor.
     pub device: Option<ShadingDevice>,
-    /// Write the report every few seconds while a fit or shape is found, as a page that loads itself again.
+    /// Write the report every few seconds while a fit or shape is found, as a page that loads
+    /// itself again.
     pub live: bool,
 }
 
@@ -70,9 +72,11 @@ pub struct RunOptions {
 /// before anything is read, and `OUT/run.json` says how far the run is.
 ///
 /// # Errors
-/// The first error of a pass; passes that do not need it are run all the same, and the scores written. [`Error::Interrupted`] if the run is
-/// stopped, once what it found is written. [`Error::Usage`] if a file that would be written is an input, or is of something else than an
-/// earlier run, if another run writes into the output folder, or if a run is to go on with something else than it was begun with.
+/// The first error of a pass; passes that do not need it are run all the same, and the scores
+/// written. [`Error::Interrupted`] if the run is stopped, once what it found is written.
+/// [`Error::Usage`] if a file that would be written is an input, or is of something else than an
+/// earlier run, if another run writes into the output folder, or if a run is to go on with
+/// something else than it was begun with.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
     let told = RecordedMessages::new(progress);
     let progress: &dyn Progress = &told;
@@ -141,7 +145,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
             if *resume {
                 progress.note("there is no checkpoint to go on from: the run begins");
             }
-            // Checkpoints of an earlier run go first: its results will, and nothing goes on from there.
+            // Checkpoints of an earlier run go first: its results will, and nothing goes on from
+            // there.
             resume::clear(out)?;
             0
         }
@@ -172,8 +177,9 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     ended.and(session.report.write(out)).and(cleared)
 }
 
-/// Runs all passes after the first `done`, but those that need one that failed; scores and report are written after each. Once the run is
-/// asked to stop, only what was found until then is written: scored, saved and exported.
+/// Runs all passes after the first `done`, but those that need one that failed; scores and report
+/// are written after each. Once the run is asked to stop, only what was found until then is
+/// written: scored, saved and exported.
 fn run_passes(
     session: &mut Session,
     record: &mut RunRecord,
@@ -247,7 +253,8 @@ fn scores(pass: &Pass, other: &Pass) -> bool {
     matches!(pass, Pass::Evaluate(pass) if pass.scores.iter().any(|score| score.pass == other.name()))
 }
 
-/// Whether a pass writes what was found when a run is stopped: it takes little time, and all that it needs is there.
+/// Whether a pass writes what was found when a run is stopped: it takes little time, and all that
+/// it needs is there.
 fn writes_results(pass: &Pass, stopped: &[&Pass]) -> bool {
     matches!(pass, Pass::Save(_) | Pass::Export(_) | Pass::Evaluate(_))
         && !stopped.iter().any(|stopped| scores(pass, stopped))
@@ -265,7 +272,8 @@ fn run_pass(session: &mut Session, pass: &Pass) -> Result<()> {
         Pass::Shape(pass) => shape::run(session, pass),
         Pass::Render(of) | Pass::Edit(of) | Pass::Relight(of) => render::run(session, pass, &of.render),
         Pass::Evaluate(pass) => {
-            // A truth that has changed is told of, instead of scores that are half of one and half of the other.
+            // A truth that has changed is told of, instead of scores that are half of one and half
+            // of the other.
             session.watched.check()?;
             evaluate::run(session, pass)
         }
@@ -275,12 +283,14 @@ fn run_pass(session: &mut Session, pass: &Pass) -> Result<()> {
     }
 }
 
-/// Writes the page of a scene in which everything is known, as `Save` writes it, to `path`; no pass of the scene is run, and nothing else
-/// is written. The page offers these lights besides the scene's own, by name, and has the photographs of `pass` if the data set can be
-/// read; if not, a note says why.
+/// Writes the page of a scene in which everything is known, as `Save` writes it, to `path`; no pass
+/// of the scene is run, and nothing else is written. The page offers these lights besides the
+/// scene's own, by name, and has the photographs of `pass` if the data set can be read; if not, a
+/// note says why.
 ///
 /// # Errors
-/// [`Error::Usage`] if something is unknown; those of [`run`] before its first pass; those of the page.
+/// [`Error::Usage`] if something is unknown; those of [`run`] before its first pass; those of the
+/// page.
 pub fn write_view(
     loaded: &LoadedScene,
     lights: &[(String, LightSource)],
@@ -314,8 +324,9 @@ pub fn write_view(
     view::write_page(&mut session, pass, named, path)
 }
 
-/// Does the work of [`run`] before the first pass of a scene, without any photograph: the files that the scene names are read and checked,
-/// no pass is run, no hull of an unknown surface is made, and nothing is written. `views` are those of a data set
+/// Does the work of [`run`] before the first pass of a scene, without any photograph: the files
+/// that the scene names are read and checked, no pass is run, no hull of an unknown surface is
+/// made, and nothing is written. `views` are those of a data set
 /// ([`survey`](crate::survey::open::survey)), if the scene has one.
 ///
 /// # Errors
@@ -327,8 +338,9 @@ pub fn rehearse(scene: &Scene, mut views: Vec<ViewRecord>, progress: &dyn Progre
     Session::open(scene, views, &RunOptions::default(), progress, SurfaceUse::Checks, false).map(drop)
 }
 
-/// Reads the views that do not depend on the object; rendered photographs come later. Those of a data set that passes learn from or are
-/// scored against are surveyed: a warning is a note, the first error ends the run.
+/// Reads the views that do not depend on the object; rendered photographs come later. Those of a
+/// data set that passes learn from or are scored against are surveyed: a warning is a note, the
+/// first error ends the run.
 ///
 /// # Errors
 /// [`Error::Usage`] for the first thing that cannot work; those of reading photographs and masks.
@@ -369,7 +381,8 @@ fn read_views(
     Ok((loaded.into_iter().map(|view| view.record).collect(), survey))
 }
 
-/// The views of a scene as a survey has seen them; those that are not of a data set are known by their sizes.
+/// The views of a scene as a survey has seen them; those that are not of a data set are known by
+/// their sizes.
 ///
 /// # Errors
 /// If a camera cannot be used.

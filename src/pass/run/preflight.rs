@@ -1,5 +1,6 @@
-//! The files of a run, known before it begins, and the checks before its first pass: a wrong name or a missing ground truth is an error at
-//! the start, not after a long fit. `lobelia check` makes the same checks.
+//! The files of a run, known before it begins, and the checks before its first pass: a wrong name
+//! or a missing ground truth is an error at the start, not after a long fit. `lobelia check` makes
+//! the same checks.
 
 use crate::pass::{
     evaluate::PARTS, evaluate::read_fitting, export, fit::TRUE_ENVIRONMENT, fit::light_files,
@@ -31,7 +32,8 @@ pub(crate) const RUN: &str = "run.json";
 /// Bytes of a rendered photograph's pixel: radiance and the mask.
 const PHOTOGRAPH_PIXEL_BYTES: u64 = 12 + 2;
 
-/// The passes of a scene before they begin, with all files that they may write. `open` is the scene's data set, if it has one.
+/// The passes of a scene before they begin, with all files that they may write. `open` is the
+/// scene's data set, if it has one.
 pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Option<u32>) -> Vec<PassRecord> {
     // Before any view is read.
     let views: Vec<(String, Split)> = match (&scene.views, open) {
@@ -74,8 +76,8 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
                 names.extend(of.render.orbit.iter().flat_map(|_| FILM_FILES.map(str::to_owned)));
             }
             Pass::Evaluate(pass) => {
-                // A contact sheet, a table of the views, and small pictures of all views of the scored
-                // passes, each in a folder of that pass's name.
+                // A contact sheet, a table of the views, and small pictures of all views of the
+                // scored passes, each in a folder of that pass's name.
                 names.extend(["contact_sheet.png", VIEWS].map(str::to_owned));
                 for score in &pass.scores {
                     let scored = scene.passes.iter().find(|pass| pass.name() == score.pass);
@@ -94,7 +96,8 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
     scene.passes.iter().map(of_pass).collect()
 }
 
-/// The files of a saved scene. A map is copied, with its own extension; one that cannot be read is told of where it is loaded.
+/// The files of a saved scene. A map is copied, with its own extension; one that cannot be read is
+/// told of where it is loaded.
 fn of_save(scene: &Scene) -> BTreeSet<String> {
     let name = |stem: &str, source: &LightSource| {
         let given = match source {
@@ -118,8 +121,9 @@ fn of_save(scene: &Scene) -> BTreeSet<String> {
     names
 }
 
-/// The files that a run reads: the scene file, what it names, what these name, and the files of the views. Of
-/// the folders that passes are scored against all files count, or those that may be of views.
+/// The files that a run reads: the scene file, what it names, what these name, and the files of the
+/// views. Of the folders that passes are scored against all files count, or those that may be of
+/// views.
 pub(super) fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<FileUse> {
     let mut inputs = vec![FileUse::new(&loaded.path, "the scene file")];
     for file in loaded.files.iter().filter(|path| path.is_file()) {
@@ -149,7 +153,8 @@ pub(super) fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<File
     inputs
 }
 
-/// Checks that no file that is to be written is one that a run reads, or lies among photographs or masks.
+/// Checks that no file that is to be written is one that a run reads, or lies among photographs or
+/// masks.
 ///
 /// # Errors
 /// [`Error::Usage`] that names the first such file.
@@ -171,10 +176,12 @@ pub(super) fn contents(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<Pa
     files.into_iter().collect()
 }
 
-/// Size of a file and the time of its last change, where the system says it; `None` if it is not there.
+/// Size of a file and the time of its last change, where the system says it; `None` if it is not
+/// there.
 type Stamp = Option<(u64, Option<SystemTime>)>;
 
-/// Files as they were when the run began, watched: one that changes or goes while the run is at work is told of.
+/// Files as they were when the run began, watched: one that changes or goes while the run is at
+/// work is told of.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Watched(Vec<(PathBuf, Stamp)>);
 
@@ -206,7 +213,8 @@ impl Watched {
     }
 }
 
-/// Checks what a scene says of its pictures: each takes memory that is known before anything is read.
+/// Checks what a scene says of its pictures: each takes memory that is known before anything is
+/// read.
 ///
 /// # Errors
 /// [`Error::Usage`] for photographs that take more than there may be.
@@ -220,8 +228,8 @@ pub fn check_sizes(scene: &Scene) -> Result<()> {
     check_memory(&format!("rendering {photographs} photographs"), ring.size, ring.size, bytes)
 }
 
-/// Checks that each placement has a training photograph, where something is fitted to them; that the
-/// cameras can be used, and that none is inside a closed object, where it sees only back faces.
+/// Checks that each placement has a training photograph, where something is fitted to them; that
+/// the cameras can be used, and that none is inside a closed object, where it sees only back faces.
 pub(super) fn check_cameras(scene: &Scene, views: &[ViewRecord], surface: &Surface) -> Result<()> {
     let names: Vec<String> = match &scene.views {
         Views::Dataset(data) => data.placements.iter().map(|of| format!("`{}`", of.photographs)).collect(),
@@ -256,8 +264,8 @@ pub(super) fn check_cameras(scene: &Scene, views: &[ViewRecord], surface: &Surfa
 /// Checks every pass against the world before any of them runs.
 ///
 /// # Errors
-/// [`Error::Usage`] or [`Error::Input`] for a view that does not exist, a pass without views, an image
-/// of an edit that cannot be read, or a missing ground truth.
+/// [`Error::Usage`] or [`Error::Input`] for a view that does not exist, a pass without views, an
+/// image of an edit that cannot be read, or a missing ground truth.
 pub(super) fn check_passes(session: &mut Session) -> Result<()> {
     let mut unedited = recovered_material(&mut session.pipeline.world)?;
     if matches!(session.scene.material.gloss, Gloss::Texels { .. }) {

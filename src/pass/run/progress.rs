@@ -1,4 +1,5 @@
-//! Output of passes while they run. The library prints nothing itself: the caller supplies a [`Progress`].
+//! Output of passes while they run. The library prints nothing itself: the caller supplies a
+//! [`Progress`].
 
 use lobelia_solve::fit::run::FitProgress;
 use std::cell::RefCell;
@@ -34,8 +35,8 @@ pub trait Progress {
     /// A line of result.
     fn print(&self, _text: &str) {}
 
-    /// Creates a bar of `length` steps with a title; [`Bar::finish_and_clear`] or dropping removes it. A length of 0 is one that is not
-    /// known, or not yet.
+    /// Creates a bar of `length` steps with a title; [`Bar::finish_and_clear`] or dropping removes
+    /// it. A length of 0 is one that is not known, or not yet.
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar>;
 
     /// Called at each [`Moment`].
@@ -50,7 +51,8 @@ pub trait Bar: Send + Sync {
     /// Sets the number of finished steps.
     fn set_position(&self, _steps: u64) {}
 
-    /// Sets the number of all steps, once it is known better. The first that is not 0 ends the message of what was before.
+    /// Sets the number of all steps, once it is known better. The first that is not 0 ends the
+    /// message of what was before.
     fn set_length(&self, _steps: u64) {}
 
     /// Sets the message beside the bar.
@@ -60,7 +62,8 @@ pub trait Bar: Send + Sync {
     fn finish_and_clear(&self) {}
 }
 
-/// A [`Progress`] that passes everything on, and keeps lines of result and notes for the run's record.
+/// A [`Progress`] that passes everything on, and keeps lines of result and notes for the run's
+/// record.
 pub struct RecordedMessages<'a> {
     to: &'a dyn Progress,
     lines: RefCell<Vec<String>>,

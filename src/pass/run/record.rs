@@ -61,8 +61,9 @@ pub(super) struct PassRecord {
     /// Its lines of result and its notes.
     #[serde(default)]
     pub said: Vec<String>,
-    /// Paths below the output folder, with `/` between their parts; one that ends with `/` is a folder of which all files are the
-    /// pass's. Before it is finished: the files that it may write.
+    /// Paths below the output folder, with `/` between their parts; one that ends with `/` is a
+    /// folder of which all files are the pass's. Before it is finished: the files that it may
+    /// write.
     pub files: Vec<String>,
 }
 
@@ -97,7 +98,8 @@ pub(super) struct Record {
     pub passes: Vec<PassRecord>,
     /// Files of the run that are of no pass.
     files: Vec<String>,
-    /// Files of earlier runs, whose passes this one does not have. They do not belong to its results.
+    /// Files of earlier runs, whose passes this one does not have. They do not belong to its
+    /// results.
     #[serde(default)]
     earlier: Vec<String>,
 }
@@ -122,8 +124,8 @@ impl Record {
     }
 }
 
-/// The files below `out` that a listed path stands for and that exist, as paths below `out`. What leads out of `out`, by `..` or by a
-/// link of a folder, stands for nothing.
+/// The files below `out` that a listed path stands for and that exist, as paths below `out`. What
+/// leads out of `out`, by `..` or by a link of a folder, stands for nothing.
 fn existing(out: &Path, listed: &str) -> Vec<String> {
     let path = Path::new(listed);
     let mut at = out.to_owned();
@@ -144,7 +146,8 @@ fn existing(out: &Path, listed: &str) -> Vec<String> {
     files.map(|entry| format!("{listed}{}", entry.file_name().to_string_lossy())).collect()
 }
 
-/// Checks an output folder before anything is read: it is new or empty, or `force` may write into it; and no other run does.
+/// Checks an output folder before anything is read: it is new or empty, or `force` may write into
+/// it; and no other run does.
 pub(super) fn check_used(out: &Path, force: bool) -> Result<()> {
     FolderLock::check_free(out)?;
     if force || !is_used(out) {
@@ -168,11 +171,12 @@ pub(super) fn check_used(out: &Path, force: bool) -> Result<()> {
     Err(Error::usage(problem, help))
 }
 
-/// The run in `out` that is to go on, which may have finished; `None` if it kept no checkpoints and has
-/// written nothing, so that it begins again.
+/// The run in `out` that is to go on, which may have finished; `None` if it kept no checkpoints and
+/// has written nothing, so that it begins again.
 ///
 /// # Errors
-/// [`Error::Usage`] if it has finished and was of another scene, or if what it has written would be lost.
+/// [`Error::Usage`] if it has finished and was of another scene, or if what it has written would be
+/// lost.
 pub(super) fn resumed(out: &Path, loaded: &LoadedScene) -> Result<Option<Record>> {
     let Some(record) = Record::read(out) else { return Ok(None) };
     if record.state == RunState::Finished && record.start.is_of_another(&loaded.scene) {
@@ -183,7 +187,8 @@ pub(super) fn resumed(out: &Path, loaded: &LoadedScene) -> Result<Option<Record>
     if record.state == RunState::Finished || out.join(resume::FOLDER).is_dir() {
         return Ok(Some(record));
     }
-    // Of a pass that waits there is what an earlier run left, if the process was killed before that was removed.
+    // Of a pass that waits there is what an earlier run left, if the process was killed before that
+    // was removed.
     let written = |of: &PassRecord| of.state != RunState::Waiting && !all_existing(out, &of.files).is_empty();
     if record.passes.iter().any(written) {
         let problem = format!(
@@ -195,8 +200,8 @@ pub(super) fn resumed(out: &Path, loaded: &LoadedScene) -> Result<Option<Record>
     Ok(None)
 }
 
-/// Whether a folder has more than what a process that was killed at its very start left: its lock, and half of a manifest. What else keeps it
-/// from being written is told elsewhere.
+/// Whether a folder has more than what a process that was killed at its very start left: its lock,
+/// and half of a manifest. What else keeps it from being written is told elsewhere.
 fn is_used(out: &Path) -> bool {
     let entries = fs::read_dir(out).into_iter().flatten().flatten();
     entries.map(|entry| entry.file_name()).any(|name| name != OsStr::new(LOCK) && !is_unfinished(&name))
@@ -221,7 +226,8 @@ impl Claim {
     /// Takes the output folder, once it is clear that nothing in it is read or somebody else's.
     ///
     /// # Errors
-    /// [`Error::Usage`] if another run writes there, something else is in the way, or an input would be replaced or removed.
+    /// [`Error::Usage`] if another run writes there, something else is in the way, or an input
+    /// would be replaced or removed.
     pub fn new(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -> Result<Self> {
         let out = &options.out;
         let plan = outputs(&loaded.scene, data, options.debug_every);
@@ -242,7 +248,8 @@ impl Claim {
         Ok(claim)
     }
 
-    /// Takes a folder for a run that may write `plan`, of which nothing may be there that no run has written.
+    /// Takes a folder for a run that may write `plan`, of which nothing may be there that no run
+    /// has written.
     fn of_plan(out: &Path, plan: Vec<PassRecord>) -> Result<Self> {
         let lock = FolderLock::take(out)?;
         let before = Record::read(out);
@@ -271,8 +278,9 @@ impl Claim {
         Ok(Self { lock, out: out.to_owned(), plan, before, old })
     }
 
-    /// The files of earlier runs but those of the passes that are `done`: those that are removed when this
-    /// one begins, which are of [`OF_RUN`] or under the names of its passes, and those that stay.
+    /// The files of earlier runs but those of the passes that are `done`: those that are removed
+    /// when this one begins, which are of [`OF_RUN`] or under the names of its passes, and those
+    /// that stay.
     fn leftovers(&self, done: &[PassRecord]) -> (Vec<String>, Vec<String>) {
         let names: BTreeSet<&str> = self.plan.iter().skip(done.len()).map(|pass| &*pass.name).collect();
         let is_old = |file: &&String| *file != RUN && !done.iter().any(|pass| pass.files.contains(file));
@@ -283,9 +291,10 @@ impl Claim {
         self.old.iter().filter(is_old).cloned().partition(is_stale)
     }
 
-    /// Begins the run: writes its manifest, and then removes what earlier runs left of the same passes, so
-    /// that old results are never beside new ones as if they were of one run. The first `done` passes are
-    /// of this run, which was begun with `start` and is resumed; `said` are its notes so far.
+    /// Begins the run: writes its manifest, and then removes what earlier runs left of the same
+    /// passes, so that old results are never beside new ones as if they were of one run. The first
+    /// `done` passes are of this run, which was begun with `start` and is resumed; `said` are its
+    /// notes so far.
     pub fn begin(
         self,
         loaded: &LoadedScene,
@@ -323,7 +332,8 @@ impl Claim {
             earlier: [stale.clone(), kept.clone()].concat(),
         };
         record.write(&out)?;
-        // Old files go, and what was left unfinished. A saved scene must not outlive the files that it names.
+        // Old files go, and what was left unfinished. A saved scene must not outlive the files that
+        // it names.
         stale.sort_by_key(|file| !file.ends_with(".ron"));
         for file in &stale {
             let path = out.join(file);
@@ -344,7 +354,8 @@ impl Claim {
     }
 }
 
-/// The folders that a listed path lies in, as paths below the output folder. One that ends with `/` is itself one of them.
+/// The folders that a listed path lies in, as paths below the output folder. One that ends with `/`
+/// is itself one of them.
 fn parents(listed: &str) -> impl Iterator<Item = String> + use<'_> {
     listed.match_indices('/').map(|(at, _)| listed[..at].to_owned())
 }

@@ -1,7 +1,8 @@
 //! The checkpoints of a run as files, and the state of a session beside its world.
 //!
-//! The manifest says with what the run was begun. `OUT/.checkpoint` has `pass.state` for the beginning of the pass at work, unless
-//! that is the first, and `part.state` for the last part of it that was done. A file counts if it is whole and of this run.
+//! The manifest says with what the run was begun. `OUT/.checkpoint` has `pass.state` for the
+//! beginning of the pass at work, unless that is the first, and `part.state` for the last part of
+//! it that was done. A file counts if it is whole and of this run.
 
 use crate::pass::run::session::{PassState, Session};
 use crate::spawn::{insert_known_along, several_materials};
@@ -30,7 +31,8 @@ pub(super) const USUAL_TIME: Duration = Duration::from_secs(60);
 
 const START_AGAIN: &str = "Start again with --force.";
 
-/// The hash of no bytes, and that of more bytes after others: FNV-1a with 64 bits, the same in every build.
+/// The hash of no bytes, and that of more bytes after others: FNV-1a with 64 bits, the same in
+/// every build.
 const NOTHING: u64 = 0xcbf2_9ce4_8422_2325;
 
 fn hash_on(hash: u64, bytes: &[u8]) -> u64 {
@@ -57,13 +59,15 @@ pub(super) struct RunStart {
     /// Hash of the views of a data set: their names, splits, cameras and files.
     #[serde(default)]
     views: String,
-    /// Hash of each photograph, mask, camera file, mesh, texture, light and ground truth that is read.
+    /// Hash of each photograph, mask, camera file, mesh, texture, light and ground truth that is
+    /// read.
     #[serde(default)]
     inputs: BTreeMap<String, String>,
 }
 
 impl RunStart {
-    /// The start of a run that is begun now. `scene` is the loaded one as it keeps to its memory, `data` its data set.
+    /// The start of a run that is begun now. `scene` is the loaded one as it keeps to its memory,
+    /// `data` its data set.
     pub fn new(loaded: &Scene, scene: &Scene, data: Option<&OpenScene>, inputs: &[PathBuf]) -> Result<Self> {
         let hash = |path: &PathBuf| {
             check_interrupted()?;
@@ -104,7 +108,8 @@ impl RunStart {
         Ok(())
     }
 
-    /// Checks that it goes on with the same data; a note says that bits may differ with another number of threads.
+    /// Checks that it goes on with the same data; a note says that bits may differ with another
+    /// number of threads.
     pub fn check_data(&self, now: &Self, progress: &dyn Progress) -> Result<()> {
         let differs = |(path, hash): &(&String, &String)| self.inputs.get(*path) != Some(*hash);
         let lacks = |path: &&String| !now.inputs.contains_key(*path);
@@ -190,9 +195,10 @@ fn read(path: &Path, run: u64) -> Result<(u32, Saved)> {
     saved().ok_or_else(|| Error::input(path, "", "the checkpoint is damaged", START_AGAIN))
 }
 
-/// The last place at which the run in a folder can be taken up, its very beginning if it has kept nothing
-/// yet: the passes that are done, the state at the beginning of the next, unless that is the first, and the
-/// state at the beginning of a part of it. A note tells of a part that cannot be used.
+/// The last place at which the run in a folder can be taken up, its very beginning if it has kept
+/// nothing yet: the passes that are done, the state at the beginning of the next, unless that is
+/// the first, and the state at the beginning of a part of it. A note tells of a part that cannot be
+/// used.
 ///
 /// # Errors
 /// [`Error::Input`] if the beginning of the pass cannot be used.
@@ -208,7 +214,8 @@ fn find(folder: &Path, run: u64, progress: &dyn Progress) -> Result<(u32, Option
     Ok((done, state, part.filter(|(pass, _)| *pass == done).map(|(_, part)| part)))
 }
 
-/// Has the session's run keep checkpoints; one that is `resumed` takes up where it was. Returns how many passes are done.
+/// Has the session's run keep checkpoints; one that is `resumed` takes up where it was. Returns how
+/// many passes are done.
 ///
 /// # Errors
 /// [`Error::Input`] if no checkpoint can be used; [`Error::Run`] if the state is of another world.
@@ -271,7 +278,8 @@ struct SessionState {
     surface: Option<(Mesh, u32)>,
 }
 
-/// Keeps the state of the session after so many passes, or without a number at the beginning of another part of the pass at work.
+/// Keeps the state of the session after so many passes, or without a number at the beginning of
+/// another part of the pass at work.
 pub(crate) fn keep(session: &mut Session, done: Option<usize>) -> Result<()> {
     let world = &mut session.pipeline.world;
     if !checkpoint::are_kept(world) {
@@ -292,7 +300,8 @@ pub(crate) fn keep(session: &mut Session, done: Option<usize>) -> Result<()> {
     }
 }
 
-/// Takes up the session at the part of the pass at work that a resumed run goes on from; returns whether there is one.
+/// Takes up the session at the part of the pass at work that a resumed run goes on from; returns
+/// whether there is one.
 pub(crate) fn resume_part(session: &mut Session) -> Result<bool> {
     let part = take_part(&mut session.pipeline.world);
     part.map_or(Ok(false), |part| restore(session, part).map(|()| true))

@@ -27,16 +27,18 @@ const MOST_VISIBILITY_BYTES: usize = 4 << 30;
 /// What passes leave to later ones beside the world; checkpoints keep it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct PassState {
-    /// Unknowns that the next fit initializes from the data: those without an initial value, until there has been a fit.
+    /// Unknowns that the next fit initializes from the data: those without an initial value, until
+    /// there has been a fit.
     pub initialize: Initialize,
-    /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found something.
+    /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found
+    /// something.
     pub has_object: bool,
     /// Whether a fit has chosen several base materials, where the scene leaves that open.
     pub several: bool,
     /// The parts of the fit at work that are done.
     pub chosen: Chosen,
-    /// Whether the surface's normals are not those of its triangles, but found from reflections, and whether stereo has moved much of it:
-    /// a fit then leaves its vertices where they are.
+    /// Whether the surface's normals are not those of its triangles, but found from reflections,
+    /// and whether stereo has moved much of it: a fit then leaves its vertices where they are.
     pub normals_found: bool,
     pub by_stereo: bool,
 }
@@ -64,7 +66,8 @@ pub(crate) struct Session<'a> {
     /// The object that took its own photographs, if there is one.
     pub truth: Option<TrueObject>,
     pub out: PathBuf,
-    /// The scene's own light, if it is not unknown. All lights are read before anything is fitted, so that a bad file is found at once.
+    /// The scene's own light, if it is not unknown. All lights are read before anything is fitted,
+    /// so that a bad file is found at once.
     pub own_light: Option<LoadedLight>,
     /// Lights of passes, by the pass's name.
     pub pass_lights: BTreeMap<String, LoadedLight>,
@@ -79,8 +82,9 @@ pub(crate) struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    /// Puts the scene and its views into a world, reads its other inputs, and checks all passes. Nothing is written yet. Photographs that
-    /// the scene makes of its own object have pixels if they are to be `rendered`; checks look at none.
+    /// Puts the scene and its views into a world, reads its other inputs, and checks all passes.
+    /// Nothing is written yet. Photographs that the scene makes of its own object have pixels if
+    /// they are to be `rendered`; checks look at none.
     pub fn open(
         scene: &'a Scene,
         mut views: Vec<ViewRecord>,
@@ -149,7 +153,8 @@ impl<'a> Session<'a> {
         Ok(session)
     }
 
-    /// Whether the object has shadows and reflections that the scene does not leave out; if so, the world has what it takes to find them.
+    /// Whether the object has shadows and reflections that the scene does not leave out; if so, the
+    /// world has what it takes to find them.
     pub fn has_visibility(&mut self) -> Result<bool> {
         let Visibility::Traced { directions, bounces, refresh_every } = self.scene.visibility else {
             return Ok(false);

@@ -1,5 +1,6 @@
-//! `OUT/report.html`: what is in the folder of a run, as one page, and runs in a table. Both are made of the run's files alone, so that the
-//! report of a run that goes on, of one that ended, and of several side by side are made in the same way.
+//! `OUT/report.html`: what is in the folder of a run, as one page, and runs in a table. Both are
+//! made of the run's files alone, so that the report of a run that goes on, of one that ended, and
+//! of several side by side are made in the same way.
 
 use crate::pass::fit::{TRUE_ENVIRONMENT, light_files, steps::COLUMNS, steps::LOG_EVERY, steps::log_line};
 use crate::pass::run::record::{PassRecord, Record, RunState};
@@ -69,7 +70,8 @@ impl Reporter {
         Self { live: live.then(begin), ..Self::default() }
     }
 
-    /// Takes in a step of a fit or shape, and now and then writes a page with its curves and worst views, if the run is watched.
+    /// Takes in a step of a fit or shape, and now and then writes a page with its curves and worst
+    /// views, if the run is watched.
     pub fn step(&mut self, out: &Path, pass: &str, step: u32, at: &FitProgress, world: &mut World) {
         let Some(Live { pass: of, log, written }) = &mut self.live else { return };
         if of != pass {
@@ -80,7 +82,8 @@ impl Reporter {
         }
         if written.elapsed() >= RELOAD {
             let log = parse_log(pass, log);
-            // A page that cannot be written is no reason to lose the run; the pass writes it again at its end.
+            // A page that cannot be written is no reason to lose the run; the pass writes it again
+            // at its end.
             let _ = self.write_with(out, |run| {
                 run.logs.extend(log);
                 run.views.insert(0, worst_views(world));
@@ -161,7 +164,8 @@ fn read_scores(out: &Path) -> Result<Scores> {
     })
 }
 
-/// Gathers all that there is of a run. Unreadable files are left out: a run may have been stopped anywhere, and its files moved.
+/// Gathers all that there is of a run. Unreadable files are left out: a run may have been stopped
+/// anywhere, and its files moved.
 fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) -> RunReport {
     pictures.left = BUDGET;
     let is_fit = |pass: &&PassRecord| pass.files.contains(&format!("{}/log.csv", pass.name));
@@ -208,7 +212,8 @@ fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) 
     }
 }
 
-/// The columns of a log; `None` if there are none. A fit that begins again repeats its steps: the last count.
+/// The columns of a log; `None` if there are none. A fit that begins again repeats its steps: the
+/// last count.
 fn parse_log(pass: &str, text: &str) -> Option<FitLog> {
     let mut lines = text.lines();
     let mut columns: Vec<(_, Vec<f64>)> = lines.next()?.split(',').map(|n| (n.to_owned(), vec![])).collect();
@@ -239,7 +244,8 @@ fn fit_pictures(out: &Path, pass: &str, pictures: &mut Pictures) -> Vec<ReportPi
     all
 }
 
-/// The findings of the fits of these names, and of the scores, with words on how far they can be trusted.
+/// The findings of the fits of these names, and of the scores, with words on how far they can be
+/// trusted.
 fn findings(out: &Path, fits: &[&str], scores: &Scores) -> Vec<FitFinding> {
     let plain = |what: &str, value: String| FitFinding { what: what.to_owned(), value, color: None };
     let mut found = Vec::new();
@@ -275,7 +281,8 @@ fn colored(what: String, color: [f32; 3], more: &str) -> FitFinding {
     FitFinding { what, value: format!("{r:.3}, {g:.3}, {b:.3}{more}"), color: Some(shown) }
 }
 
-/// The views of the passes that have scores, with the pictures that `Evaluate` made; the worst views first, in turn over the passes, as far as the budget goes.
+/// The views of the passes that have scores, with the pictures that `Evaluate` made; the worst
+/// views first, in turn over the passes, as far as the budget goes.
 fn scored_views(out: &Path, record: &Record, scores: &Scores, pictures: &mut Pictures) -> Vec<PassViews> {
     let mut passes: Vec<PassViews> = Vec::new();
     // Rank in its pass, number of the pass, folder and name of each view.
@@ -310,7 +317,8 @@ fn scored_views(out: &Path, record: &Record, scores: &Scores, pictures: &mut Pic
 fn unscored_views(out: &Path, record: &Record, scores: &Scores, pictures: &mut Pictures) -> Vec<PassViews> {
     let mut views = Vec::new();
     for pass in record.passes.iter().filter(|pass| pass.state == RunState::Finished) {
-        // The views that it rendered, each an EXR and a PNG. A fit writes such pairs as well, with its light.
+        // The views that it rendered, each an EXR and a PNG. A fit writes such pairs as well, with
+        // its light.
         let start = pass.name.len() + 1;
         let files: BTreeSet<&str> = pass.files.iter().filter_map(|file| file.get(start..)).collect();
         let is_view = |stem: &&str| !stem.contains('/') && files.contains(format!("{stem}.exr").as_str());
@@ -398,7 +406,8 @@ impl Pictures {
         self.address(path, || read_up_to(path, MOST_SMALL_BYTES, |_| String::new()).ok())
     }
 
-    /// A PNG whose longer side is at most `side` pixels, on the mat of a contact sheet; `None` if it cannot be read or the budget is spent.
+    /// A PNG whose longer side is at most `side` pixels, on the mat of a contact sheet; `None` if
+    /// it cannot be read or the budget is spent.
     fn small(&mut self, path: &Path, side: u32) -> Option<String> {
         self.address(path, || {
             let bytes = read_up_to(path, MOST_BYTES, |_| String::new()).ok()?;

@@ -1,4 +1,5 @@
-//! Whole runs on a disk that fails: one error, what was written is whole, and the run goes on from there.
+//! Whole runs on a disk that fails: one error, what was written is whole, and the run goes on from
+//! there.
 
 use crate::pass::{RunOptions, run, run::progress::Silent, run::record::Record, run::record::RunState};
 use crate::scene::{LoadOptions, LoadedScene, load};

@@ -1,5 +1,6 @@
-//! The report of a run, or of several side by side: one HTML file that holds everything, pictures included, and asks no server for
-//! anything. It is readable without the script in `assets/`, which only adds the wipe.
+//! The report of a run, or of several side by side: one HTML file that holds everything, pictures
+//! included, and asks no server for anything. It is readable without the script in `assets/`, which
+//! only adds the wipe.
 
 mod plot;
 
@@ -111,7 +112,8 @@ const SCRIPT: &str = include_str!("assets/report.js");
 /// The scale of error maps, as `heat_color` has it.
 const SCALE: &str = include_str!("assets/scale.html");
 
-/// The page of one run, or of several side by side; the first one is what the others are compared with.
+/// The page of one run, or of several side by side; the first one is what the others are compared
+/// with.
 ///
 /// # Errors
 /// [`Error::Usage`] for no run, or more than `MOST_RUNS`.
@@ -153,7 +155,8 @@ pub fn html(runs: &[RunReport]) -> Result<String> {
     filled(PAGE, &slots)
 }
 
-/// A page with values in its slots, which come in this order: one pass over the page, so that nothing of the values is taken for a slot.
+/// A page with values in its slots, which come in this order: one pass over the page, so that
+/// nothing of the values is taken for a slot.
 pub(crate) fn filled(page: &str, slots: &[(&str, String)]) -> Result<String> {
     let mut text = String::new();
     let mut rest = page;
@@ -168,7 +171,8 @@ pub(crate) fn filled(page: &str, slots: &[(&str, String)]) -> Result<String> {
     Ok(text + rest)
 }
 
-/// Text inside an element or an attribute with quotes around it; what no document may hold (control characters) is left out.
+/// Text inside an element or an attribute with quotes around it; what no document may hold (control
+/// characters) is left out.
 pub fn escaped(text: &str) -> String {
     let kept: String = text.chars().filter(|c| ['\n', '\t'].contains(c) || !c.is_control()).collect();
     // The ampersand first: those of the others stay.
@@ -391,7 +395,8 @@ fn views(runs: &[RunReport]) -> String {
 /// A view as one of the runs has it, with its scores there.
 type RunView<'a> = (Option<&'a ViewReport>, Option<&'a ViewScores>);
 
-/// The views of a pass that any run has, the worst first: by the score of the first run that has one.
+/// The views of a pass that any run has, the worst first: by the score of the first run that has
+/// one.
 fn pass_views<'a>(runs: &'a [RunReport], pass: &str) -> String {
     let of = |run: &'a RunReport| (run.views.iter().find(|of| of.pass == pass), run.scores.passes.get(pass));
     let of_runs: Vec<(Option<&PassViews>, Option<&PassScores>)> = runs.iter().map(of).collect();
@@ -505,7 +510,8 @@ fn pictures(runs: &[RunReport]) -> String {
     if figures.is_empty() { figures } else { format!("<div class=\"pictures\">\n{figures}</div>\n") }
 }
 
-/// Plots of a log: title, whether the axis is logarithmic, and the columns, of which the mean counts.
+/// Plots of a log: title, whether the axis is logarithmic, and the columns, of which the mean
+/// counts.
 const PLOTS: [(&str, bool, &[&str]); 5] = [
     ("Loss", true, &["loss"]),
     ("PSNR of training pixels, dB", false, &["psnr"]),

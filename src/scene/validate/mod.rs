@@ -1,4 +1,5 @@
-//! Whether the values of a scene make sense: ranges, counts, names, files that are there, and passes that need one another.
+//! Whether the values of a scene make sense: ranges, counts, names, files that are there, and
+//! passes that need one another.
 //!
 //! Values that the types rule out are not checked again.
 
@@ -369,7 +370,8 @@ pub(super) struct Found {
     pub unseen: Vec<PathBuf>,
 }
 
-/// A place in the scene file: a struct, list or choice whose values are checked by their names there.
+/// A place in the scene file: a struct, list or choice whose values are checked by their names
+/// there.
 #[derive(Clone)]
 struct Place<'a> {
     /// Steps joined by dots, as [`Node::locate`](crate::scene::ron_tree::Node::locate) reads them.
@@ -499,8 +501,8 @@ impl<'a> Place<'a> {
         }
     }
 
-    /// Resolves a path in place and looks for what is there: `$DATA/…` starts at `--data` and is left as it is without; other relative
-    /// paths start at the folder of the scene file.
+    /// Resolves a path in place and looks for what is there: `$DATA/…` starts at `--data` and is
+    /// left as it is without; other relative paths start at the folder of the scene file.
     pub fn path(&self, field: &str, kind: FileKind, path: &mut PathBuf) {
         let at = self.at(field);
         let full = match (path.strip_prefix("$DATA"), &self.options.data) {

@@ -1,8 +1,9 @@
 //! The error type of the crate.
 //!
-//! An error is created where the cause is known, propagated unchanged with `?`, and reported once, at the
-//! edge (the command), which also chooses the exit code: 2 for [`Error::Input`], [`Error::Scene`] and
-//! [`Error::Usage`], 130 (or that of the signal) for [`Error::Interrupted`], 1 for the rest.
+//! An error is created where the cause is known, propagated unchanged with `?`, and reported once,
+//! at the edge (the command), which also chooses the exit code: 2 for [`Error::Input`],
+//! [`Error::Scene`] and [`Error::Usage`], 130 (or that of the signal) for [`Error::Interrupted`], 1
+//! for the rest.
 
 pub mod stop;
 
@@ -113,8 +114,8 @@ impl Error {
         }
     }
 
-    /// The exit code of the process: 2 for bad input, 130 for a run that was stopped (that of its signal is
-    /// [`StopSignal::exit_code`](stop::StopSignal::exit_code)), 1 for all other errors.
+    /// The exit code of the process: 2 for bad input, 130 for a run that was stopped (that of its
+    /// signal is [`StopSignal::exit_code`](stop::StopSignal::exit_code)), 1 for all other errors.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Input { .. } | Self::Scene(_) | Self::Usage { .. } => 2,

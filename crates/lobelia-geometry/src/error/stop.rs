@@ -1,7 +1,9 @@
-//! How a run is stopped from outside, and how its work finds out: one flag that every long loop asks.
+//! How a run is stopped from outside, and how its work finds out: one flag that every long loop
+//! asks.
 //!
-//! The flag is of the process, as a signal is: it stops the work of all pipelines and threads, and is never reset. A program that runs several
-//! and wants to stop one of them returns `ControlFlow::Break` from that fit's `watch` instead.
+//! The flag is of the process, as a signal is: it stops the work of all pipelines and threads, and
+//! is never reset. A program that runs several and wants to stop one of them returns
+//! `ControlFlow::Break` from that fit's `watch` instead.
 
 use crate::{Error, Result};
 use std::fmt;
@@ -24,7 +26,8 @@ pub enum StopSignal {
 impl StopSignal {
     const ALL: [Self; 4] = [Self::Interrupt, Self::Terminate, Self::HangUp, Self::Page];
 
-    /// The exit code of a process that it stops: 128 plus the number of the signal; that of Ctrl-C for the page.
+    /// The exit code of a process that it stops: 128 plus the number of the signal; that of Ctrl-C
+    /// for the page.
     pub fn exit_code(self) -> u8 {
         match self {
             Self::Interrupt | Self::Page => 130,
@@ -61,8 +64,8 @@ pub fn stopped_by() -> Option<StopSignal> {
     StopSignal::ALL.into_iter().find(|known| *known as u8 == signal)
 }
 
-/// Whether the work in progress is to stop. A loop over rows may leave the rest as they are then, if whoever called it asks
-/// [`check_interrupted`] before the rows are used.
+/// Whether the work in progress is to stop. A loop over rows may leave the rest as they are then,
+/// if whoever called it asks [`check_interrupted`] before the rows are used.
 #[inline]
 pub fn is_stopping() -> bool {
     let stop = STOP.load(Ordering::Relaxed);

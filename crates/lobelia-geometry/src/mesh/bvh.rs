@@ -1,12 +1,14 @@
-//! Ray casting against triangles by a bounding volume hierarchy: one ray, or rays of one origin and of similar directions together.
+//! Ray casting against triangles by a bounding volume hierarchy: one ray, or rays of one origin and
+//! of similar directions together.
 //!
-//! All triangles of a leaf are tested at once, watertight: Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection" (JCGT 2013).
-//! Corners are transformed to a ray-aligned frame, where the sign of an edge is the same for both triangles that share it, so no ray
-//! passes between them.
+//! All triangles of a leaf are tested at once, watertight: Woop, Benthin and Wald, "Watertight
+//! Ray/Triangle Intersection" (JCGT 2013). Corners are transformed to a ray-aligned frame, where
+//! the sign of an edge is the same for both triangles that share it, so no ray passes between them.
 //!
-//! The boxes of a node are tested against all rays of a packet at once, and only a box that they then enter against each: Boulos, Wald
-//! and Shirley, "Geometric and Arithmetic Culling Methods for Entire Ray Packets" (2006): interval arithmetic on the inverse directions,
-//! which have the same signs.
+//! The boxes of a node are tested against all rays of a packet at once, and only a box that they
+//! then enter against each: Boulos, Wald and Shirley, "Geometric and Arithmetic Culling Methods for
+//! Entire Ray Packets" (2006): interval arithmetic on the inverse directions, which have the same
+//! signs.
 
 use crate::mesh::triangles::Mesh;
 use crate::mesh::wide_bvh::{
@@ -21,7 +23,8 @@ use obvhs::{
 
 /// Most rays of a packet.
 pub(super) const PACKET: usize = 16;
-/// Boxes are enlarged by this fraction of the object's radius, so that rounding in the box test never misses a triangle.
+/// Boxes are enlarged by this fraction of the object's radius, so that rounding in the box test
+/// never misses a triangle.
 const BOX_SLACK: f32 = 4e-6;
 /// Rays that start farther away than this many radii are first moved to the object.
 const FAR_AWAY: f32 = 4.0;
@@ -35,11 +38,12 @@ pub struct TriangleBvh {
     radius: f32,
 }
 
-/// A hierarchy with two children per node, whose leaves are the triangles of a mesh; center of the box around these, and the greatest
-/// distance of a corner from it.
+/// A hierarchy with two children per node, whose leaves are the triangles of a mesh; center of the
+/// box around these, and the greatest distance of a corner from it.
 ///
-/// For boxes of equal size the builder pairs them one at a time, in quadratic time and depth. A different enlargement of each box by one
-/// to two times the slack, by a hash of its index, avoids these ties.
+/// For boxes of equal size the builder pairs them one at a time, in quadratic time and depth. A
+/// different enlargement of each box by one to two times the slack, by a hash of its index, avoids
+/// these ties.
 pub(super) fn binary_hierarchy(mesh: &Mesh) -> (Bvh2, Vec3, f32) {
     let (low, high) = mesh.bounds().unwrap_or_default();
     let center = low.midpoint(high);
@@ -77,7 +81,8 @@ impl TriangleBvh {
         (self.center, self.radius)
     }
 
-    /// The nearest triangle at a distance in `(min_distance, ∞)`, from either side; none for a ray that is not finite.
+    /// The nearest triangle at a distance in `(min_distance, ∞)`, from either side; none for a ray
+    /// that is not finite.
     pub fn nearest(&self, ray: &Ray, min_distance: f32) -> Option<TriangleHit> {
         let (frame, query, skipped) = self.prepare(ray)?;
         let mut nearest = Nearest { frame, low: min_distance - skipped, found: None };
@@ -87,8 +92,9 @@ impl TriangleBvh {
         Some(TriangleHit { distance, ..found })
     }
 
-    /// [`Self::nearest`] of up to [`PACKET`] rays from one origin; faster than one after another if their directions are near each other. Where a ray meets
-    /// two triangles at the same distance, it may find the other one.
+    /// [`Self::nearest`] of up to [`PACKET`] rays from one origin; faster than one after another if
+    /// their directions are near each other. Where a ray meets two triangles at the same distance,
+    /// it may find the other one.
     pub(super) fn nearest_of_packet(
         &self,
         origin: Vec3,
@@ -127,8 +133,8 @@ impl TriangleBvh {
         self.count(ray, min_distance, max_distance, 1) > 0
     }
 
-    /// How many triangles are met at a distance in `(min_distance, max_distance)`; once they are `most`, no more are looked for. A ray
-    /// exactly through a shared edge meets both triangles.
+    /// How many triangles are met at a distance in `(min_distance, max_distance)`; once they are
+    /// `most`, no more are looked for. A ray exactly through a shared edge meets both triangles.
     pub(super) fn count(&self, ray: &Ray, min_distance: f32, max_distance: f32, most: usize) -> usize {
         let Some((frame, query, skipped)) = self.prepare(ray) else { return 0 };
         let (low, high) = (min_distance - skipped, max_distance - skipped);
@@ -137,7 +143,8 @@ impl TriangleBvh {
         found.count
     }
 
-    /// The ray in the two forms for traversal, moved forward by the returned distance if it starts far away.
+    /// The ray in the two forms for traversal, moved forward by the returned distance if it starts
+    /// far away.
     fn prepare(&self, ray: &Ray) -> Option<(RayFrame, BoxRay, f32)> {
         if !(ray.origin.is_finite() && ray.direction.is_finite() && ray.direction != Vec3::ZERO) {
             return None;
@@ -423,7 +430,8 @@ mod tests {
         let bvh = TriangleBvh::new(&mesh_of((0..20_000).map(|k| nested(k % 600))));
         for k in 0..60 {
             let size = 0.9f32.powi(k);
-            // Beyond the slope of the next smaller triangle, so that only this one and larger ones are in the way.
+            // Beyond the slope of the next smaller triangle, so that only this one and larger ones
+            // are in the way.
             let through = Vec3::new(0.48, 0.48, 0.0) * size;
             let below = Ray { origin: through, direction: Vec3::Z };
             let hit = bvh.nearest(&below, 0.0).unwrap();
@@ -452,7 +460,8 @@ mod tests {
     fn rays_of_a_packet_meet_what_each_meets_alone() {
         let bvh = TriangleBvh::new(&ball_over_plate(0.02, 1.01, 0.3));
         let mut hits = 0;
-        // From between the ball and the plate, from within the ball, from outside and from far away; near directions and all kinds of them.
+        // From between the ball and the plate, from within the ball, from outside and from far
+        // away; near directions and all kinds of them.
         for origin in [Vec3::new(0.1, 0.4, 0.2), Vec3::Y, Vec3::new(3.0, 2.0, 1.0), Vec3::splat(500.0)] {
             let toward = (Vec3::Y * 0.5 - origin).normalize();
             let all = fibonacci_axes(400);

@@ -1,15 +1,17 @@
 //! Mesh simplification: edges are collapsed where the surface changes least.
 //!
-//! Garland and Heckbert, "Surface Simplification Using Quadric Error Metrics" (SIGGRAPH 1997): a vertex has the sum of the squared
-//! distances to the planes of the triangles that it represents; an edge collapses to the point where the sum of both ends is smallest,
-//! cheapest edges first. Collapses that change the topology or flip a triangle are not made, so that a closed manifold stays one.
+//! Garland and Heckbert, "Surface Simplification Using Quadric Error Metrics" (SIGGRAPH 1997): a
+//! vertex has the sum of the squared distances to the planes of the triangles that it represents;
+//! an edge collapses to the point where the sum of both ends is smallest, cheapest edges first.
+//! Collapses that change the topology or flip a triangle are not made, so that a closed manifold
+//! stays one.
 
 use crate::mesh::triangles::{Mesh, Side, sorted_sides};
 use glam::{DMat3, DVec3};
 use std::{cmp::Reverse, collections::BinaryHeap};
 
-/// Weight of the distance to the old vertices, relative to that of the old planes: it determines the position in a plane or along an edge,
-/// and is negligible elsewhere.
+/// Weight of the distance to the old vertices, relative to that of the old planes: it determines
+/// the position in a plane or along an edge, and is negligible elsewhere.
 const STAY: f64 = 1e-5;
 /// Weight of the planes that preserve a border.
 const BORDER: f64 = 10.0;
@@ -18,8 +20,9 @@ const MIN_TURN: f64 = 0.2;
 /// Least height of a triangle after a collapse, relative to its longest side.
 const MIN_HEIGHT: f64 = 1e-3;
 
-/// The mesh with about `target` triangles (or as few as possible), with merged vertices, smooth normals and without texture
-/// coordinates. A mesh with at most `target` triangles only loses its texture coordinates. Deterministic.
+/// The mesh with about `target` triangles (or as few as possible), with merged vertices, smooth
+/// normals and without texture coordinates. A mesh with at most `target` triangles only loses its
+/// texture coordinates. Deterministic.
 pub fn decimate(mesh: &Mesh, target: usize) -> Mesh {
     let mut collapser = Collapser::new(mesh);
     while collapser.alive > target && collapser.round(target) {}
@@ -72,7 +75,8 @@ impl Quadric {
     }
 }
 
-/// An edge to collapse: cost (the bits of a non-negative number sort like the number), its ends, and the sum of their stamps at insertion.
+/// An edge to collapse: cost (the bits of a non-negative number sort like the number), its ends,
+/// and the sum of their stamps at insertion.
 type Candidate = Reverse<(u64, u32, u32, u32)>;
 
 struct Collapser {
@@ -131,7 +135,8 @@ impl Collapser {
         new
     }
 
-    /// Collapses edges until `target` triangles are left or no collapse is allowed; returns whether any was made.
+    /// Collapses edges until `target` triangles are left or no collapse is allowed; returns whether
+    /// any was made.
     fn round(&mut self, target: usize) -> bool {
         let mut heap = BinaryHeap::new();
         for from in 0..self.positions.len() as u32 {
@@ -193,8 +198,8 @@ impl Collapser {
         true
     }
 
-    /// The link condition: the ends have no more common neighbors than the edge has triangles, one or two, and no third corner
-    /// loses triangles that it needs.
+    /// The link condition: the ends have no more common neighbors than the edge has triangles, one
+    /// or two, and no third corner loses triangles that it needs.
     fn keeps_topology(&self, a: u32, b: u32, shared: &[u32]) -> bool {
         let on_border = shared.len() == 1;
         let both = self.border[a as usize] && self.border[b as usize];
@@ -208,7 +213,8 @@ impl Collapser {
         common.len() == shared.len() && common.iter().all(|&v| self.around[v as usize].len() > needs(v))
     }
 
-    /// Whether the remaining triangles keep their orientation and some height when `a` and `b` move to `place`.
+    /// Whether the remaining triangles keep their orientation and some height when `a` and `b` move
+    /// to `place`.
     fn keeps_sides(&self, a: u32, b: u32, place: DVec3) -> bool {
         let staying = self.around[a as usize].iter().chain(&self.around[b as usize]);
         staying.map(|&t| self.triangles[t as usize]).all(|triangle| {

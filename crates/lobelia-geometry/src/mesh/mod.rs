@@ -1,9 +1,11 @@
 //! Surfaces: meshes, primitives, ray casting and the texel atlas.
 //!
-//! A mesh comes from a file or from [`primitive`], gets texture coordinates ([`atlas::unwrap_mesh`]) and becomes a [`Surface`]: a resource that answers rays with positions, normals and texel addresses.
+//! A mesh comes from a file or from [`primitive`], gets texture coordinates
+//! ([`atlas::unwrap_mesh`]) and becomes a [`Surface`]: a resource that answers rays with positions,
+//! normals and texel addresses.
 //!
-//! There is no plugin here: a surface is built once, before a run, and inserted into the world as a resource; the Trace stage reads it
-//! through [`Intersect`].
+//! There is no plugin here: a surface is built once, before a run, and inserted into the world as a
+//! resource; the Trace stage reads it through [`Intersect`].
 
 pub mod atlas;
 pub mod bvh;
@@ -22,7 +24,8 @@ use glam::{Vec2, Vec3};
 use lobelia_sg::ray::{Hit, Intersect, Ray};
 use triangles::Mesh;
 
-/// The largest coordinate of a surface, in world units: squares of areas of boxes must stay finite in `f32`.
+/// The largest coordinate of a surface, in world units: squares of areas of boxes must stay finite
+/// in `f32`.
 pub const MAX_COORDINATE: f32 = 1e9;
 
 /// The largest side of an atlas, in texels.
@@ -39,12 +42,13 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Builds the atlas (`texture_size`² texels) and the hierarchy of a mesh that has texture coordinates
-    /// (from [`atlas::unwrap_mesh`]).
+    /// Builds the atlas (`texture_size`² texels) and the hierarchy of a mesh that has texture
+    /// coordinates (from [`atlas::unwrap_mesh`]).
     ///
     /// # Errors
-    /// [`Error::Usage`] for a texture size out of range; [`Error::Run`] for a mesh without triangles or texture coordinates, with
-    /// degenerate triangles, with arrays of different lengths, or that is not finite.
+    /// [`Error::Usage`] for a texture size out of range; [`Error::Run`] for a mesh without
+    /// triangles or texture coordinates, with degenerate triangles, with arrays of different
+    /// lengths, or that is not finite.
     pub fn new(mesh: Mesh, texture_size: u32) -> Result<Self> {
         if !(1..=MAX_TEXTURE_SIZE).contains(&texture_size) {
             let problem = format!("the texture size {texture_size} is out of range");
@@ -72,7 +76,8 @@ impl Surface {
         self.bvh.bounding_sphere()
     }
 
-    /// Whether `point` is enclosed by the surface: most of five rays from it cross an odd number of triangles.
+    /// Whether `point` is enclosed by the surface: most of five rays from it cross an odd number of
+    /// triangles.
     ///
     /// For an open mesh the result is meaningful only where the mesh is nearly closed.
     pub fn is_inside(&self, point: Vec3) -> bool {

@@ -1,4 +1,5 @@
-//! The point of a mesh that is nearest to a given point, exactly, and the Chamfer distance between two surfaces.
+//! The point of a mesh that is nearest to a given point, exactly, and the Chamfer distance between
+//! two surfaces.
 
 use crate::mesh::bvh::{TriangleHit, binary_hierarchy};
 use crate::mesh::triangles::Mesh;
@@ -21,7 +22,8 @@ impl NearestTriangle {
         Self { bvh, corners }
     }
 
-    /// The nearest triangle, the weights of its nearest point, and the distance; `None` without triangles.
+    /// The nearest triangle, the weights of its nearest point, and the distance; `None` without
+    /// triangles.
     pub fn nearest(&self, point: Vec3) -> Option<TriangleHit> {
         let point = Vec3A::from(point);
         let mut found = None;
@@ -56,7 +58,8 @@ fn squared_distance(bounds: &Aabb, point: Vec3A) -> f32 {
     (point - point.clamp(bounds.min, bounds.max)).length_squared()
 }
 
-/// Squared distance and corner weights of the triangle's point nearest to `point` (Ericson, "Real-Time Collision Detection", 5.1.5).
+/// Squared distance and corner weights of the triangle's point nearest to `point` (Ericson,
+/// "Real-Time Collision Detection", 5.1.5).
 fn nearest_in_triangle(&[a, b, c]: &[Vec3A; 3], point: Vec3A) -> (f32, [f32; 3]) {
     let (ab, ac) = (b - a, c - a);
     let seen_from = |corner: Vec3A| (ab.dot(point - corner), ac.dot(point - corner));
@@ -88,8 +91,8 @@ fn nearest_in_triangle(&[a, b, c]: &[Vec3A; 3], point: Vec3A) -> (f32, [f32; 3])
 /// Points taken on each surface.
 const SAMPLES: usize = 100_000;
 
-/// The mean of the two directed mean distances, in the unit of the meshes: exact distances from points distributed uniformly over each
-/// surface to the nearest point of the other mesh.
+/// The mean of the two directed mean distances, in the unit of the meshes: exact distances from
+/// points distributed uniformly over each surface to the nearest point of the other mesh.
 ///
 /// Equal meshes and seeds give equal bits. `None` if a mesh has zero area.
 pub fn chamfer_distance(a: &Mesh, b: &Mesh, seed: u64) -> Option<f64> {
@@ -104,7 +107,8 @@ fn directed(from: &Mesh, onto: &Mesh, seed: u64) -> Option<f64> {
     Some(distances?.into_iter().map(f64::from).sum::<f64>() / SAMPLES as f64)
 }
 
-/// `count` points on the surface, one at random in each of `count` parts of equal area; `None` if the area is zero.
+/// `count` points on the surface, one at random in each of `count` parts of equal area; `None` if
+/// the area is zero.
 fn spread_points(mesh: &Mesh, count: usize, seed: u64) -> Option<Vec<Vec3>> {
     let total = mesh.area();
     if !(total > 0.0 && total.is_finite()) {

@@ -7,14 +7,15 @@ use glam::{DVec3, Vec2, Vec3};
 const SPHERE_ROWS: u32 = 96;
 /// Columns of a sphere around the axis.
 const SPHERE_COLUMNS: u32 = 2 * SPHERE_ROWS;
-/// Empty border of each chart of a box, in texture coordinates: two texels at a texture size of 128.
+/// Empty border of each chart of a box, in texture coordinates: two texels at a texture size of
+/// 128.
 const BOX_GUTTER: f32 = 1.0 / 64.0;
 
 /// A smooth sphere with exact normals and latitude-longitude texture coordinates.
 ///
 /// The top row of the texture is around +Y and u is as in an environment map: direction of (u, v) =
-/// (cos θ sin φ, cos φ, sin θ sin φ), φ = πv, θ = 2πu − π/2. Vertices are on the sphere; the flat triangles lie up to 3e-4 of the radius
-/// inside it.
+/// (cos θ sin φ, cos φ, sin θ sin φ), φ = πv, θ = 2πu − π/2. Vertices are on the sphere; the flat
+/// triangles lie up to 3e-4 of the radius inside it.
 ///
 /// # Errors
 /// [`Error::Usage`] if the radius is not positive or something is not finite.
@@ -41,7 +42,8 @@ pub fn sphere_mesh(center: Vec3, radius: f32) -> Result<Mesh> {
         for column in 0..SPHERE_COLUMNS {
             let [a, b] = [vertex(row, column), vertex(row, column + 1)];
             let [c, d] = [vertex(row + 1, column), vertex(row + 1, column + 1)];
-            // A pole is one corner of its triangles; everywhere else two triangles make a quadrilateral.
+            // A pole is one corner of its triangles; everywhere else two triangles make a
+            // quadrilateral.
             match row {
                 0 => mesh.triangles.push([a, d, c]),
                 _ if row + 1 == SPHERE_ROWS => mesh.triangles.push([a, b, c]),
@@ -52,7 +54,8 @@ pub fn sphere_mesh(center: Vec3, radius: f32) -> Result<Mesh> {
     Ok(mesh)
 }
 
-/// The unit direction of grid point (`row`, `column`); first and last column, and all columns of a pole, are identical.
+/// The unit direction of grid point (`row`, `column`); first and last column, and all columns of a
+/// pole, are identical.
 fn sphere_direction(row: u32, column: u32) -> Vec3 {
     use std::f64::consts::PI;
     let phi = PI * f64::from(row) / f64::from(SPHERE_ROWS);
@@ -65,7 +68,8 @@ fn sphere_direction(row: u32, column: u32) -> Vec3 {
     }
 }
 
-/// An axis-aligned box with flat normals: one chart per face, three by two, each with a gutter of 1/64 on all sides.
+/// An axis-aligned box with flat normals: one chart per face, three by two, each with a gutter of
+/// 1/64 on all sides.
 ///
 /// The first row of charts shows +X, −X, +Y, the second −Y, +Z, −Z, each as seen from outside.
 ///
@@ -103,7 +107,8 @@ pub fn box_mesh(center: Vec3, size: Vec3) -> Result<Mesh> {
     Ok(mesh)
 }
 
-/// A ball, its center at a height, over a plate of 2 × 2 around the origin; each has half of the texture.
+/// A ball, its center at a height, over a plate of 2 × 2 around the origin; each has half of the
+/// texture.
 #[doc(hidden)]
 pub fn ball_over_plate(thickness: f32, height: f32, radius: f32) -> Mesh {
     let mut mesh = box_mesh(Vec3::ZERO, Vec3::new(2.0, thickness, 2.0)).unwrap();
@@ -139,7 +144,8 @@ mod tests {
         assert_eq!(mesh.clone().drop_degenerate_triangles(), 0);
         for t in 0..mesh.triangles.len() {
             let [a, b, c] = mesh.corners(t);
-            // The deepest point of a chord triangle is nearest the center: its circumcenter or the middle of an edge.
+            // The deepest point of a chord triangle is nearest the center: its circumcenter or the
+            // middle of an edge.
             for point in [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0, (a + b + c) / 3.0] {
                 let error = ((point - center).length() - radius).abs() / radius;
                 assert!(error < 4e-4, "{error}");
@@ -181,7 +187,8 @@ mod tests {
                 assert!(gap > 1.9 * BOX_GUTTER, "{gap}");
             }
         }
-        // Mirrored charts would flip a texture: u × v must point out of the surface (v is down, so into it).
+        // Mirrored charts would flip a texture: u × v must point out of the surface (v is down, so
+        // into it).
         for t in &mesh.triangles {
             let uv = t.map(|v| uvs[v as usize]);
             assert!((uv[1] - uv[0]).perp_dot(uv[2] - uv[0]) < 0.0);

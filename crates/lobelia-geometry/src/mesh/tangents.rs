@@ -1,8 +1,10 @@
-//! Tangents along texture coordinates, and normals relative to them, as glTF 2.0 has them (specification, section 3.7.2.1): the frames
-//! of MikkTSpace, which other programs rebuild where a file has no tangents.
+//! Tangents along texture coordinates, and normals relative to them, as glTF 2.0 has them
+//! (specification, section 3.7.2.1): the frames of MikkTSpace, which other programs rebuild where a
+//! file has no tangents.
 //!
-//! The frame of a point is (t, b, n): n the interpolated normal, t the interpolated tangent toward growing u, b = w (n × t), which points
-//! toward falling v, the top of the picture. A normal map holds normals in that frame, whose z is along n.
+//! The frame of a point is (t, b, n): n the interpolated normal, t the interpolated tangent toward
+//! growing u, b = w (n × t), which points toward falling v, the top of the picture. A normal map
+//! holds normals in that frame, whose z is along n.
 
 use crate::{mesh::atlas::TexelAtlas, mesh::triangles::Mesh};
 use bevy_mikktspace::{Geometry, TangentSpace, generate_tangents};
@@ -55,8 +57,8 @@ impl Geometry for Corners<'_> {
     }
 }
 
-/// The tangent of each vertex: a unit vector across the normal toward growing u, and w = ±1. Along any direction across the normal where the
-/// texture coordinates tell none, or there are none.
+/// The tangent of each vertex: a unit vector across the normal toward growing u, and w = ±1. Along
+/// any direction across the normal where the texture coordinates tell none, or there are none.
 pub fn vertex_tangents(mesh: &Mesh) -> Vec<Vec4> {
     let uvs = mesh.uvs.as_deref().unwrap_or_default();
     let mut corners = Corners { mesh, uvs, tangents: vec![None; mesh.positions.len()] };
@@ -70,7 +72,8 @@ pub fn vertex_tangents(mesh: &Mesh) -> Vec<Vec4> {
     tangents.map(|(tangent, normal)| tangent.filter(usable).unwrap_or_else(|| any(normal))).collect()
 }
 
-/// The frame of each texel of the mesh's `atlas`, from the object's axes: its columns are t, b and n.
+/// The frame of each texel of the mesh's `atlas`, from the object's axes: its columns are t, b and
+/// n.
 pub fn texel_frames(mesh: &Mesh, tangents: &[Vec4], atlas: &TexelAtlas) -> Vec<Mat3> {
     let interpolated = |vectors: Vec<Vec3>| {
         TexelAtlas::new(&Mesh { normals: vectors, ..mesh.clone() }, atlas.width, atlas.height).normal
@@ -82,7 +85,8 @@ pub fn texel_frames(mesh: &Mesh, tangents: &[Vec4], atlas: &TexelAtlas) -> Vec<M
     frames.map(|((tangent, bitangent), normal)| Mat3::from_cols(tangent, bitangent, *normal)).collect()
 }
 
-/// Normals in these frames, unit vectors; (0, 0, 1) where there is no frame or the normal is on its other side.
+/// Normals in these frames, unit vectors; (0, 0, 1) where there is no frame or the normal is on its
+/// other side.
 pub fn relative_normals(frames: &[Mat3], normals: &[Vec3]) -> Vec<Vec3> {
     let relative = |(frame, normal): (&Mat3, &Vec3)| {
         let is_frame = frame.determinant().abs() > FLAT && frame.z_axis.dot(*normal) > 0.0;
@@ -118,7 +122,8 @@ mod tests {
         }
     }
 
-    /// The definition of MikkTSpace: a vertex has the mean of its triangles' directions, weighted by their angles there.
+    /// The definition of MikkTSpace: a vertex has the mean of its triangles' directions, weighted
+    /// by their angles there.
     #[test]
     fn tangents_of_a_vertex_are_weighted_by_angle() {
         let mesh = Mesh {

@@ -133,7 +133,8 @@ fn no_ray_slips_between_triangles_at_edges_and_corners() {
             let part = [0.0, 0.5, rng.random_range(0.0..1.0f32)][k % 3];
             let target = t[0].lerp(t[1], part);
             let center = surface.bounding_sphere().0;
-            // Towards the edge from where it is not a silhouette: within 30° of the outward direction.
+            // Towards the edge from where it is not a silhouette: within 30° of the outward
+            // direction.
             let outward = (target - center).normalize();
             let origin = target
                 + (outward + unit_vector(&mut rng) * 0.5).normalize() * scale * [0.01, 2.0, 9.0][k / 3 % 3];
@@ -214,7 +215,8 @@ fn unusable_meshes_are_refused() {
     }
 }
 
-/// A grid of vertices, `columns` × `rows`, closed along x, along both, or open; two triangles for each square.
+/// A grid of vertices, `columns` × `rows`, closed along x, along both, or open; two triangles for
+/// each square.
 fn grid(columns: u32, rows: u32, closed: [bool; 2], place: impl Fn(f32, f32) -> Vec3) -> Mesh {
     let squares = |count: u32, closed: bool| if closed { count } else { count - 1 };
     let (across, along) = (squares(columns, closed[0]), squares(rows, closed[1]));
@@ -249,7 +251,8 @@ pub(crate) fn torus(around: u32, across: u32) -> Mesh {
     })
 }
 
-/// A closed ball of radius 1, made of a cube with `count`² squares a face; each vertex is moved by at most `noise` outward or inward.
+/// A closed ball of radius 1, made of a cube with `count`² squares a face; each vertex is moved by
+/// at most `noise` outward or inward.
 pub(crate) fn ball(count: u32, noise: f32) -> Mesh {
     let mut mesh = Mesh::default();
     for axis in 0..3 {

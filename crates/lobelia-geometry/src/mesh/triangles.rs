@@ -7,7 +7,8 @@ use std::collections::HashMap;
 
 /// An indexed triangle mesh in world space.
 ///
-/// All vertex arrays have the same length; `triangles` index into them, counter-clockwise seen from outside.
+/// All vertex arrays have the same length; `triangles` index into them, counter-clockwise seen from
+/// outside.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Mesh {
     /// Vertex positions, world units, finite.
@@ -29,7 +30,8 @@ impl Mesh {
         self.triangles[triangle].map(|vertex| self.positions[vertex as usize])
     }
 
-    /// Lowest and highest corner of the axis-aligned box around all vertices that a triangle uses; `None` without triangles.
+    /// Lowest and highest corner of the axis-aligned box around all vertices that a triangle uses;
+    /// `None` without triangles.
     pub fn bounds(&self) -> Option<(Vec3, Vec3)> {
         let mut points = self.triangles.iter().flatten().map(|&vertex| self.positions[vertex as usize]);
         let first = points.next()?;
@@ -47,7 +49,8 @@ impl Mesh {
         (0..self.triangles.len()).map(|triangle| 0.5 * self.doubled_area_vector(triangle).length()).sum()
     }
 
-    /// Whether triangle `triangle` has no usable area: repeated corners, or (nearly) collinear ones.
+    /// Whether triangle `triangle` has no usable area: repeated corners, or (nearly) collinear
+    /// ones.
     pub fn is_degenerate(&self, triangle: usize) -> bool {
         let corners = self.corners(triangle).map(|p| p.as_dvec3());
         let longest_squared =
@@ -65,7 +68,8 @@ impl Mesh {
         before - self.triangles.len()
     }
 
-    /// Area-weighted face normals summed at every vertex, vertices at the same position sharing one sum, normalized.
+    /// Area-weighted face normals summed at every vertex, vertices at the same position sharing one
+    /// sum, normalized.
     ///
     /// Vertices without a face (or whose faces cancel) get +Y.
     pub fn smooth_normals(&self) -> Vec<Vec3> {
@@ -111,8 +115,8 @@ impl Mesh {
         (0..).zip(&self.positions).map(first).collect()
     }
 
-    /// Checks that each vertex has all its values and a finite position, and that each triangle names such vertices; the error is
-    /// the problem.
+    /// Checks that each vertex has all its values and a finite position, and that each triangle
+    /// names such vertices; the error is the problem.
     pub(crate) fn check_lists(&self) -> Result<(), String> {
         let (count, normals) = (self.positions.len(), self.normals.len());
         let uvs = self.uvs.as_ref().map_or(count, Vec::len);
@@ -130,7 +134,8 @@ impl Mesh {
         }
     }
 
-    /// Unit normal of the flat triangle `triangle`, on the side of its vertex normals; zero if it is degenerate.
+    /// Unit normal of the flat triangle `triangle`, on the side of its vertex normals; zero if it
+    /// is degenerate.
     pub fn geometric_normal(&self, triangle: usize) -> Vec3 {
         let face = self.doubled_area_vector(triangle);
         let vertex_normals: Vec3 = self.triangles[triangle].iter().map(|&v| self.normals[v as usize]).sum();
@@ -188,7 +193,8 @@ impl DisjointSets {
 mod tests {
     use super::*;
 
-    /// A unit right triangle in the plane z = 0, and a copy with separate vertices, folded up along x.
+    /// A unit right triangle in the plane z = 0, and a copy with separate vertices, folded up along
+    /// x.
     fn folded() -> Mesh {
         Mesh {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::new(-0.0, 0.0, 0.0), Vec3::Z, Vec3::X],

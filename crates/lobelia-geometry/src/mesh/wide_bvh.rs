@@ -1,7 +1,8 @@
-//! A bounding volume hierarchy with eight children a node, and eight triangles a leaf, for one ray or a packet of them: the boxes of a node, or the triangles of
-//! a leaf, are tested at once.
+//! A bounding volume hierarchy with eight children a node, and eight triangles a leaf, for one ray
+//! or a packet of them: the boxes of a node, or the triangles of a leaf, are tested at once.
 //!
-//! Source: Wald, Benthin and Boulos, "Getting Rid of Packets" (2008): wide nodes by opening the largest children of a binary hierarchy.
+//! Source: Wald, Benthin and Boulos, "Getting Rid of Packets" (2008): wide nodes by opening the
+//! largest children of a binary hierarchy.
 
 use crate::mesh::triangles::Mesh;
 use fearless_simd::{Simd, f32x8, prelude::*};
@@ -15,7 +16,8 @@ const LEAF: u32 = 1 << 31;
 const USUAL_WAITING: usize = 64;
 /// A direction's component below this counts as this, so that its inverse is finite.
 const LEAST_COMPONENT: f32 = 1e-30;
-/// Boxes are left this much later, for rounding in the box test (Ize, "Robust BVH Ray Traversal", 2013: 2γ₃).
+/// Boxes are left this much later, for rounding in the box test (Ize, "Robust BVH Ray Traversal",
+/// 2013: 2γ₃).
 pub(super) const ROUNDING: f32 = 1.0 + 8e-7;
 
 /// One value for each child of a node or triangle of a leaf.
@@ -24,7 +26,8 @@ pub(super) type Each = [f32; WIDTH];
 /// Least and greatest corner of a box.
 pub(super) type BoxCorners = [[f32; 3]; 2];
 
-/// The boxes around the children of a node. Boxes of missing children have their low corner beyond their high one.
+/// The boxes around the children of a node. Boxes of missing children have their low corner beyond
+/// their high one.
 #[derive(Clone, Debug, PartialEq)]
 #[repr(C, align(32))]
 struct Node {
@@ -59,7 +62,8 @@ pub(super) struct WideBvh {
 
 /// One ray, or several that start at one point, as boxes are tested against them.
 pub(super) trait BoxRays {
-    /// Distances at which the rays meet the nearer and the farther plane of each box along an axis: of several rays the least and the greatest.
+    /// Distances at which the rays meet the nearer and the farther plane of each box along an axis:
+    /// of several rays the least and the greatest.
     fn planes<S: Simd>(&self, simd: S, bounds: &[[Each; 3]; 2], axis: usize) -> (f32x8<S>, f32x8<S>);
 }
 
@@ -89,8 +93,9 @@ impl BoxRays for BoxRay {
 
 /// Operations on the leaves along a ray.
 pub(super) trait LeafVisitor {
-    /// Whether any of the rays may enter a box; the contents of a box that none enters are skipped. Called with the box of a leaf
-    /// right before the visit of the leaf. One ray is tested against the children of a node, and that is all.
+    /// Whether any of the rays may enter a box; the contents of a box that none enters are skipped.
+    /// Called with the box of a leaf right before the visit of the leaf. One ray is tested against
+    /// the children of a node, and that is all.
     #[inline(always)]
     fn enters<S: Simd>(&mut self, _simd: S, _around: &BoxCorners) -> bool {
         true
@@ -296,7 +301,8 @@ impl Builder<'_> {
 }
 
 impl Node {
-    /// A bit for each child that the rays enter before `limit`, and the distances at which they enter.
+    /// A bit for each child that the rays enter before `limit`, and the distances at which they
+    /// enter.
     #[inline(always)]
     fn entered<S: Simd>(&self, simd: S, rays: &impl BoxRays, limit: f32) -> (u64, Each) {
         let (near_x, far_x) = rays.planes(simd, &self.bounds, 0);

@@ -1,10 +1,13 @@
-//! Extraction of a mesh of the zero level of an SDF: naive surface nets (Gibson 1998), with vertices projected onto the level.
+//! Extraction of a mesh of the zero level of an SDF: naive surface nets (Gibson 1998), with
+//! vertices projected onto the level.
 //!
-//! A net has one vertex per cell. Where two sheets pass through one cell they share it, and the mesh is not a manifold there (Schaefer, Ju
-//! and Warren, "Manifold Dual Contouring", 2007). Here the triangles around such a vertex are grouped into fans, and each fan gets
-//! a vertex of its own, moved a little into the fan. Where fans meet along an edge, its four triangles are paired
-//! around the inside or the outside, depending on the sign of the field at the midpoint. An edge whose pairs belong to one fan at both
-//! ends, as around a hole in a thin wall, is split in two, with a separate midpoint for each pair.
+//! A net has one vertex per cell. Where two sheets pass through one cell they share it, and the
+//! mesh is not a manifold there (Schaefer, Ju and Warren, "Manifold Dual Contouring", 2007). Here
+//! the triangles around such a vertex are grouped into fans, and each fan gets a vertex of its own,
+//! moved a little into the fan. Where fans meet along an edge, its four triangles are paired around
+//! the inside or the outside, depending on the sign of the field at the midpoint. An edge whose
+//! pairs belong to one fan at both ends, as around a hole in a thin wall, is split in two, with a
+//! separate midpoint for each pair.
 
 use crate::mesh::triangles::{DisjointSets, Mesh, Side, sorted_sides};
 use crate::sdf::SdfGrid;
@@ -16,14 +19,16 @@ use std::collections::BTreeMap;
 /// Newton steps that project a vertex onto the zero level.
 const PROJECTIONS: usize = 3;
 
-/// The zero level as a mesh with normals from the field; without triangles if there is no zero level.
+/// The zero level as a mesh with normals from the field; without triangles if there is no zero
+/// level.
 ///
 /// The border of the grid closes the surface. Only the largest connected component is kept.
 pub fn extract_mesh(grid: &SdfGrid) -> Mesh {
     extract_components(grid).into_iter().next().unwrap_or_default()
 }
 
-/// The connected components of the zero level, as [`extract_mesh`] has it, those with most triangles first.
+/// The connected components of the zero level, as [`extract_mesh`] has it, those with most
+/// triangles first.
 pub fn extract_components(grid: &SdfGrid) -> Vec<Mesh> {
     let shape = RuntimeShape::<u32, 3>::new([grid.side; 3]);
     let (mut values, side, last) = (grid.values.clone(), grid.side as usize, grid.side - 1);
@@ -58,7 +63,8 @@ fn project(grid: &SdfGrid, start: Vec3) -> Vec3 {
     if point.distance_squared(start) < grid.spacing * grid.spacing { point } else { start }
 }
 
-/// The components, connected by edges (small parts may touch others at a vertex only), those with most triangles first.
+/// The components, connected by edges (small parts may touch others at a vertex only), those with
+/// most triangles first.
 fn components(mesh: &Mesh) -> Vec<Mesh> {
     let mut parts = DisjointSets::new(mesh.triangles.len());
     for pair in sorted_sides(&mesh.triangles).windows(2).filter(|pair| pair[0].ends == pair[1].ends) {
@@ -99,7 +105,8 @@ const CUTS: usize = 6;
 
 /// Makes a closed mesh a manifold. `is_solid` returns whether a point is inside.
 ///
-/// Returns which vertices are new or moved. Triangles keep their winding; unsplit triangles keep their order.
+/// Returns which vertices are new or moved. Triangles keep their winding; unsplit triangles keep
+/// their order.
 fn make_manifold(mesh: &mut Mesh, is_solid: impl Fn(Vec3) -> bool) -> Vec<bool> {
     let mut changed = part_fans(mesh, &is_solid);
     for _ in 0..CUTS {
@@ -146,7 +153,8 @@ fn cut_edges(mesh: &mut Mesh, is_solid: &impl Fn(Vec3) -> bool) -> bool {
     any
 }
 
-/// Gives every fan of triangles around a vertex its own vertex: a group of connected corners; the first group of a vertex keeps it.
+/// Gives every fan of triangles around a vertex its own vertex: a group of connected corners; the
+/// first group of a vertex keeps it.
 fn part_fans(mesh: &mut Mesh, is_solid: &impl Fn(Vec3) -> bool) -> Vec<bool> {
     // Groups of corners 3 t + k.
     let corner = |t: u32, vertex: u32| {
@@ -209,7 +217,8 @@ fn pairs(mesh: &Mesh, edge: [u32; 2], around: &[u32], is_solid: &impl Fn(Vec3) -
     };
     let mut turned: Vec<(f32, u32, bool)> = around.iter().map(turn).collect();
     turned.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    // If the midpoint is inside, sheets are paired around the outside, which keeps the solid connected.
+    // If the midpoint is inside, sheets are paired around the outside, which keeps the solid
+    // connected.
     let around_solid = !is_solid(middle);
     let n = turned.len();
     let start = (0..n).find(|&i| turned[i].2 == around_solid).unwrap_or(0);

@@ -1,4 +1,5 @@
-//! A signed distance field on a regular grid: look-up, gradient, tracing of rays, mesh extraction, and texels.
+//! A signed distance field on a regular grid: look-up, gradient, tracing of rays, mesh extraction,
+//! and texels.
 //!
 //! | module | holds |
 //! | --- | --- |
@@ -17,7 +18,8 @@ use serde::{Deserialize, Serialize};
 
 /// Vertices of a block along each axis.
 const BLOCK: u32 = 8;
-/// Step length relative to the distance: values between vertices are interpolated and may be too large.
+/// Step length relative to the distance: values between vertices are interpolated and may be too
+/// large.
 const STEP: f32 = 0.9;
 /// Least step, in cells. A thinner part could be stepped over, but the grid cannot represent one.
 const MIN_STEP: f32 = 0.25;
@@ -38,7 +40,8 @@ pub struct SdfGrid {
 }
 
 impl SdfGrid {
-    /// A grid of `cells` cells per side over the cube around `center`, filled by `value` at each vertex's position.
+    /// A grid of `cells` cells per side over the cube around `center`, filled by `value` at each
+    /// vertex's position.
     pub fn from_fn(center: Vec3, half_side: f32, cells: u32, value: impl Fn(Vec3) -> f32 + Sync) -> Self {
         let side = cells + 1;
         let spacing = 2.0 * half_side / cells as f32;
@@ -96,7 +99,8 @@ impl SdfGrid {
         ]
     }
 
-    /// The trilinear distance at a point; outside the grid, the distance at the nearest point of the grid.
+    /// The trilinear distance at a point; outside the grid, the distance at the nearest point of
+    /// the grid.
     #[inline]
     pub fn value(&self, point: Vec3) -> f32 {
         let (cell, t) = self.cell(point);
@@ -125,7 +129,8 @@ impl SdfGrid {
         }))
     }
 
-    /// The vertices' central differences, interpolated: continuous, unlike the gradient of the trilinear value.
+    /// The vertices' central differences, interpolated: continuous, unlike the gradient of the
+    /// trilinear value.
     pub fn gradient(&self, point: Vec3) -> Vec3 {
         let (cell, _) = self.cell(point);
         let interior = cell.min_element() > 0 && cell.max_element() + 2 < self.side;
@@ -140,8 +145,9 @@ impl SdfGrid {
         self.corners(point).into_iter().map(|(row, weight)| at_vertex(row) * weight).sum()
     }
 
-    /// The values, replaced by `value` of their indices. `most` gets the center and the radius of the ball around a block: where it gives a
-    /// number, the block keeps its values, but none above that number.
+    /// The values, replaced by `value` of their indices. `most` gets the center and the radius of
+    /// the ball around a block: where it gives a number, the block keeps its values, but none above
+    /// that number.
     pub fn replaced_in_blocks(
         &self,
         most: impl Fn(Vec3, f32) -> Option<f32> + Sync,
@@ -179,9 +185,11 @@ pub struct LeastDistance {
     pub value: f32,
 }
 
-/// Rays against the zero level: sphere tracing (Hart 1996) to a bracket, then bracketed root finding.
+/// Rays against the zero level: sphere tracing (Hart 1996) to a bracket, then bracketed root
+/// finding.
 impl SdfGrid {
-    /// The interval of the ray inside the cube of the grid; `None` if it is empty beyond `min_distance`.
+    /// The interval of the ray inside the cube of the grid; `None` if it is empty beyond
+    /// `min_distance`.
     fn span(&self, ray: &Ray, min_distance: f32) -> Option<(f32, f32)> {
         let high = self.position(UVec3::splat(self.side - 1));
         let inverse = ray.direction.recip();
@@ -191,7 +199,8 @@ impl SdfGrid {
         (near < far).then_some((near, far))
     }
 
-    /// Distance along the ray to the first point where it enters the surface, beyond `min_distance`.
+    /// Distance along the ray to the first point where it enters the surface, beyond
+    /// `min_distance`.
     pub fn first_crossing(&self, ray: &Ray, min_distance: f32) -> Option<f32> {
         let (near, far) = self.span(ray, min_distance)?;
         let at = |t: f32| self.value(ray.origin + ray.direction * t);
@@ -208,7 +217,8 @@ impl SdfGrid {
         None
     }
 
-    /// The point of the ray with the least value, up to the first local minimum below `enough` or the exit from the grid.
+    /// The point of the ray with the least value, up to the first local minimum below `enough` or
+    /// the exit from the grid.
     pub fn least_distance(&self, ray: &Ray, enough: f32) -> Option<LeastDistance> {
         let (near, far) = self.span(ray, 0.0)?;
         let least_step = MIN_STEP * self.spacing;

@@ -1,15 +1,17 @@
 //! Redistancing of a field: fast sweeping (Zhao 2005) outward from the zero level.
 //!
-//! Values beside the zero level are divided by the length of the gradient there, which preserves the level to
-//! first order; all others are solved from |∇φ| = 1 by Gauss–Seidel sweeps in the eight diagonal directions. Only vertices with a neighbor
-//! that has changed are solved again (Bak, McLaughlin and Renzi, "Some Improvements for the Fast Sweeping Method", 2010).
+//! Values beside the zero level are divided by the length of the gradient there, which preserves
+//! the level to first order; all others are solved from |∇φ| = 1 by Gauss–Seidel sweeps in the
+//! eight diagonal directions. Only vertices with a neighbor that has changed are solved again (Bak,
+//! McLaughlin and Renzi, "Some Improvements for the Fast Sweeping Method", 2010).
 
 use crate::sdf::SdfGrid;
 use rayon::prelude::*;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32};
 
-/// Bounds on the length of the gradient that a value is divided by: gradients at creases are inaccurate.
+/// Bounds on the length of the gradient that a value is divided by: gradients at creases are
+/// inaccurate.
 const GRADIENT_RANGE: (f32, f32) = (0.3, 3.0);
 /// Rounds of all eight sweeps; two are enough except for fields with long winding paths.
 const ROUNDS: usize = 2;
@@ -42,7 +44,8 @@ impl SdfGrid {
         });
     }
 
-    /// The distances of the vertices to the zero level, up to `reach` and a cell beyond it; infinite farther away.
+    /// The distances of the vertices to the zero level, up to `reach` and a cell beyond it;
+    /// infinite farther away.
     fn solved_within(&self, reach: f32) -> Vec<f32> {
         let sweeps = Sweeps::new(self, reach);
         let is_open = |_: &usize| sweeps.open_rows.iter().any(|row| row.load(Relaxed));
@@ -93,7 +96,8 @@ impl GridVertex {
     }
 }
 
-/// States of a vertex: solved for, to be solved as a neighbor has come nearer, and beside the zero level, which no sweep changes.
+/// States of a vertex: solved for, to be solved as a neighbor has come nearer, and beside the zero
+/// level, which no sweep changes.
 const CLOSED: u8 = 0;
 const OPEN: u8 = 1;
 const FIXED: u8 = 2;
@@ -139,8 +143,9 @@ impl Sweeps {
         sweeps
     }
 
-    /// One Gauss–Seidel sweep; the bits of `direction` select the axes that are traversed backward. Rows whose places along y and z have
-    /// the same sum do not read each other: they are solved at the same time.
+    /// One Gauss–Seidel sweep; the bits of `direction` select the axes that are traversed backward.
+    /// Rows whose places along y and z have the same sum do not read each other: they are solved at
+    /// the same time.
     fn sweep(&self, direction: usize) {
         let side = self.side;
         let run = |axis: usize, k: usize| if direction >> axis & 1 == 0 { k } else { side - 1 - k };

@@ -1,7 +1,7 @@
 //! Texels in space: one at each vertex of a lattice near the surface, blended in tetrahedra.
 //!
-//! A cell is cut into the six tetrahedra of Kuhn's triangulation, so that a point interpolates four texels, as in an
-//! atlas, and code for texel addresses also works here.
+//! A cell is cut into the six tetrahedra of Kuhn's triangulation, so that a point interpolates four
+//! texels, as in an atlas, and code for texel addresses also works here.
 
 use crate::sdf::SdfGrid;
 use glam::{UVec3, Vec2, Vec3};
@@ -24,8 +24,8 @@ pub struct TexelVolume {
 }
 
 impl TexelVolume {
-    /// Texels at the vertices of a lattice of `cells` cells per side over the grid's cube that are within `reach` (world
-    /// units) of the zero level.
+    /// Texels at the vertices of a lattice of `cells` cells per side over the grid's cube that are
+    /// within `reach` (world units) of the zero level.
     pub fn new(grid: &SdfGrid, cells: u32, reach: f32) -> Self {
         let side = cells + 1;
         let spacing = grid.spacing * (grid.side - 1) as f32 / cells as f32;
@@ -61,13 +61,15 @@ impl TexelVolume {
         self.origin + at.as_vec3() * self.spacing
     }
 
-    /// The four texels around a point, from the cell's lowest corner to its highest; `None` if one is missing.
+    /// The four texels around a point, from the cell's lowest corner to its highest; `None` if one
+    /// is missing.
     pub fn address(&self, point: Vec3) -> Option<TexelAddress> {
         let (indices, weights) = self.tetrahedron(point);
         (!indices.contains(&NONE)).then_some(TexelAddress { indices, weights })
     }
 
-    /// [`TexelVolume::address`], with the nearest texel of the cell in place of those that are missing.
+    /// [`TexelVolume::address`], with the nearest texel of the cell in place of those that are
+    /// missing.
     pub fn nearest_address(&self, point: Vec3) -> Option<TexelAddress> {
         let (rows, weights) = self.tetrahedron(point);
         let heaviest =
@@ -97,7 +99,8 @@ impl TexelVolume {
         (corners.map(row), [1.0 - a, a - b, b - c, c])
     }
 
-    /// Gradient in space of an interpolated value, given the value of each texel (such as a weighted sum of channels).
+    /// Gradient in space of an interpolated value, given the value of each texel (such as a
+    /// weighted sum of channels).
     pub fn gradient(&self, point: Vec3, address: &TexelAddress, value: impl Fn(u32) -> f32) -> Vec3 {
         let order = descending(self.cell(point).1);
         let mut gradient = Vec3::ZERO;

@@ -25,8 +25,8 @@ pub struct Camera {
     pub pixel_center: f32,
 }
 
-/// Focal lengths that rays can be computed with, as factors on an image's side: of the shorter one at least, of the longer one at
-/// most.
+/// Focal lengths that rays can be computed with, as factors on an image's side: of the shorter one
+/// at least, of the longer one at most.
 const FOCAL_FACTORS: [f32; 2] = [1e-5, 1e6];
 /// Largest principal point and skew, as a factor on an image's longer side.
 const MOST_SHIFT: f32 = 1e4;
@@ -43,7 +43,8 @@ pub struct CameraOrbit {
     pub radius: f32,
     /// Height of the circle in degrees above the target's horizon, in `[-90, 90]`.
     pub elevation_degrees: f32,
-    /// Where the circle starts, in degrees: 0 is in front (+Z for +Y up, −Y for +Z up), 90 to its right.
+    /// Where the circle starts, in degrees: 0 is in front (+Z for +Y up, −Y for +Z up), 90 to its
+    /// right.
     pub start_degrees: f32,
     /// Number of cameras, evenly spaced over the whole turn; at least 1.
     pub frames: u32,
@@ -74,7 +75,8 @@ impl Default for CameraOrbit {
 }
 
 impl Camera {
-    /// The world ray through image position (`x`, `y`) in pixels, where pixel (i, j) spans `[i, i + 1) × [j, j + 1)`.
+    /// The world ray through image position (`x`, `y`) in pixels, where pixel (i, j) spans
+    /// `[i, i + 1) × [j, j + 1)`.
     pub fn ray(&self, x: f32, y: f32) -> Ray {
         let shift = self.pixel_center - 0.5;
         let y_camera = (y + shift - self.center[1]) / self.focal[1];
@@ -88,9 +90,9 @@ impl Camera {
         self.ray((pixel % self.width) as f32 + 0.5, (pixel / self.width) as f32 + 0.5)
     }
 
-    /// Projection of a world point: (x, y) in pixels, in the coordinates of [`Camera::ray`], and its depth along
-    /// the camera's axis in world units. `None` if the point is not in front of the camera. The position may lie outside
-    /// the image.
+    /// Projection of a world point: (x, y) in pixels, in the coordinates of [`Camera::ray`], and
+    /// its depth along the camera's axis in world units. `None` if the point is not in front of the
+    /// camera. The position may lie outside the image.
     pub fn project(&self, world: Vec3) -> Option<(f32, f32, f32)> {
         let offset = Vec3A::from(world) - self.world_from_camera.translation;
         // The transform is rigid, so its transpose is its inverse.
@@ -108,8 +110,9 @@ impl Camera {
     /// Checks that rays through the camera can be computed.
     ///
     /// # Errors
-    /// A clause that says which of its numbers is not usable: no pixels, a focal length that is not from 10⁻⁵ to 10⁶ times the image's
-    /// side, a principal point or skew far outside the image, a place beyond 10⁹, anything that is not finite.
+    /// A clause that says which of its numbers is not usable: no pixels, a focal length that is not
+    /// from 10⁻⁵ to 10⁶ times the image's side, a principal point or skew far outside the image, a
+    /// place beyond 10⁹, anything that is not finite.
     pub fn check(&self) -> Result<(), String> {
         let (width, height) = (self.width, self.height);
         let [shorter, longer] = [width.min(height) as f32, width.max(height) as f32];
@@ -142,12 +145,12 @@ impl Camera {
         self.world_from_camera.translation.into()
     }
 
-    /// A camera at `eye` that looks at `target`, with square pixels, the principal point in the middle of the image and
-    /// `up` pointing upward in it. `up` need not have unit length.
+    /// A camera at `eye` that looks at `target`, with square pixels, the principal point in the
+    /// middle of the image and `up` pointing upward in it. `up` need not have unit length.
     ///
     /// # Errors
-    /// [`Error::Usage`] if `eye` and `target` coincide, `up` points along the view, the field of view is not within
-    /// (0, 180) degrees, the image is empty, or a number is not finite.
+    /// [`Error::Usage`] if `eye` and `target` coincide, `up` points along the view, the field of
+    /// view is not within (0, 180) degrees, the image is empty, or a number is not finite.
     pub fn look_at(
         eye: Vec3,
         target: Vec3,
@@ -195,7 +198,8 @@ impl Camera {
         let camera = |frame: u32| {
             let (sin, cos) = (orbit.start_degrees + step * frame as f32).to_radians().sin_cos();
             let outward = cos_elevation * (cos * front + sin * side) + sin_elevation * up;
-            // The tangent of the circle is the right axis of the camera, also directly above the target.
+            // The tangent of the circle is the right axis of the camera, also directly above the
+            // target.
             let right = cos * side - sin * front;
             let eye = orbit.target + orbit.radius * outward;
             Self::from_axes(eye, -outward, right, orbit.vertical_fov_degrees, [orbit.width, orbit.height])
@@ -203,7 +207,8 @@ impl Camera {
         (0..orbit.frames).map(camera).collect()
     }
 
-    /// `count` cameras distributed uniformly over a sphere of this radius around the origin, looking at the origin; images are square.
+    /// `count` cameras distributed uniformly over a sphere of this radius around the origin,
+    /// looking at the origin; images are square.
     ///
     /// # Errors
     /// [`Error::Usage`] if a field is outside its range (see [`Self::look_at`]).
@@ -222,7 +227,8 @@ impl Camera {
         let scale = 1.0 / factor as f32;
         let shift = self.pixel_center - 0.5;
         let (focal, skew) = (self.focal.map(|f| f * scale), self.skew * scale);
-        // Positions scale about the image's corner; `center` is counted from the `pixel_center` of pixel 0.
+        // Positions scale about the image's corner; `center` is counted from the `pixel_center` of
+        // pixel 0.
         let center = self.center.map(|c| (c - shift) * scale + shift);
         Self { width: self.width / factor, height: self.height / factor, focal, center, skew, ..*self }
     }

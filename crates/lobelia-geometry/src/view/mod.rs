@@ -1,6 +1,7 @@
 //! Views: cameras, photographs and masks.
 //!
-//! Camera axes are OpenCV's (x right, y down, z forward). The center of pixel (i, j) is (i + 0.5, j + 0.5).
+//! Camera axes are OpenCV's (x right, y down, z forward). The center of pixel (i, j) is (i + 0.5, j
+//! + 0.5).
 //!
 //! | module | holds |
 //! | --- | --- |
@@ -86,7 +87,8 @@ impl<T> FromIterator<(ViewIndex, T)> for ByView<T> {
 #[derive(Component, Clone, Debug)]
 pub struct ViewMask(pub StoredMask);
 
-/// The placement of the object that a view shows, counted from 0: it may be turned over between two rounds of photographs.
+/// The placement of the object that a view shows, counted from 0: it may be turned over between two
+/// rounds of photographs.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Placement(pub u32);
 
@@ -145,10 +147,12 @@ fn insert<T: Component>(entity: &mut EntityWorldMut, component: Option<T>) {
     }
 }
 
-/// Rows that OpenEXR files with ZIP compression keep together; bands of a picture are whole multiples of it.
+/// Rows that OpenEXR files with ZIP compression keep together; bands of a picture are whole
+/// multiples of it.
 pub const BLOCK_ROWS: usize = 16;
 
-/// One rendered view with its layers; every list holds `width * height` values, row by row from the top left.
+/// One rendered view with its layers; every list holds `width * height` values, row by row from the
+/// top left.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Frame {
     /// Width in pixels.
@@ -191,18 +195,19 @@ impl Frame {
     }
 }
 
-/// How many times brighter than the brightest pixel of a typical photograph a pixel may be: beyond, it is broken, or a highlight that no
-/// other photograph has.
+/// How many times brighter than the brightest pixel of a typical photograph a pixel may be: beyond,
+/// it is broken, or a highlight that no other photograph has.
 pub const GLARING: f32 = 64.0;
 
-/// The greatest radiance that a pixel may have in a set of photographs whose brightest channels are `highest`: [`GLARING`] times their
-/// median. Infinite if most are black.
+/// The greatest radiance that a pixel may have in a set of photographs whose brightest channels are
+/// `highest`: [`GLARING`] times their median. Infinite if most are black.
 pub fn glare_limit(highest: impl Iterator<Item = f32>) -> f32 {
     let mut highest: Vec<f32> = highest.collect();
     median(&mut highest).filter(|usual| *usual > 0.0).map_or(f32::INFINITY, |usual| GLARING * usual)
 }
 
-/// Three numbers for the pixels of a view that have some, as half floats and only inside a window. A clone shares its memory.
+/// Three numbers for the pixels of a view that have some, as half floats and only inside a window.
+/// A clone shares its memory.
 #[derive(Clone, Debug)]
 pub struct PriorMap {
     width: u32,
@@ -226,7 +231,8 @@ impl PriorMap {
     }
 }
 
-/// Somebody's diffuse albedo of what a view shows: linear, known up to one factor for the whole picture.
+/// Somebody's diffuse albedo of what a view shows: linear, known up to one factor for the whole
+/// picture.
 #[derive(Component, Clone, Debug)]
 pub struct AlbedoMap(pub PriorMap);
 

@@ -1,4 +1,5 @@
-//! Images, masks and rectangles of them as grids of pixels: box filtering, interpolation, and distance to silhouettes.
+//! Images, masks and rectangles of them as grids of pixels: box filtering, interpolation, and
+//! distance to silhouettes.
 
 use glam::{DVec3, Vec3};
 
@@ -43,7 +44,8 @@ impl PixelWindow {
         Self { x: 0, y: 0, width, height }
     }
 
-    /// The smallest window with all pixels of a mask that are covered at all; of an empty mask nothing.
+    /// The smallest window with all pixels of a mask that are covered at all; of an empty mask
+    /// nothing.
     pub fn of_mask(mask: &Mask) -> Self {
         let (mut low, mut high) = ([u32::MAX; 2], [0; 2]);
         let width = mask.width.max(1) as usize;
@@ -107,8 +109,9 @@ impl PixelWindow {
 pub const FULL_COVERAGE: f32 = 0.999;
 
 impl Image {
-    /// The image `factor` times smaller along each axis; each pixel is the mean of its block. Remaining pixels at the right and
-    /// bottom edge are dropped, as in [`crate::view::Camera::scaled`]. A `factor` of 0 counts as 1.
+    /// The image `factor` times smaller along each axis; each pixel is the mean of its block.
+    /// Remaining pixels at the right and bottom edge are dropped, as in
+    /// [`crate::view::Camera::scaled`]. A `factor` of 0 counts as 1.
     pub fn downscaled(&self, factor: u32) -> Self {
         let (width, height) = small_size(self.width, self.height, factor);
         let scale = 1.0 / f64::from(factor.max(1)).powi(2);
@@ -148,8 +151,8 @@ fn blocks(width: u32, height: u32, factor: u32) -> impl Iterator<Item = impl Ite
 /// Index of a pixel, and its weight in a sum.
 pub type Tap = (usize, f32);
 
-/// The four pixels around a position, with bilinear weights; (0, 0) is the center of the first pixel. Positions outside
-/// are clamped to the border.
+/// The four pixels around a position, with bilinear weights; (0, 0) is the center of the first
+/// pixel. Positions outside are clamped to the border.
 #[inline]
 pub fn bilinear(width: u32, height: u32, x: f32, y: f32) -> [Tap; 4] {
     let split = |at: f32, count: u32| {
@@ -167,19 +170,22 @@ pub fn bilinear(width: u32, height: u32, x: f32, y: f32) -> [Tap; 4] {
     ]
 }
 
-/// Signed distance in pixels from the center of every pixel to the silhouette of a mask, negative inside.
+/// Signed distance in pixels from the center of every pixel to the silhouette of a mask, negative
+/// inside.
 ///
-/// The exact Euclidean transform of Felzenszwalb and Huttenlocher ("Distance Transforms of Sampled Functions", 2012), run
-/// for the pixels on either side; next to the silhouette the coverage of partly covered pixels gives subpixel distances.
-/// `coverage` holds `width * height` values in [0, 1]; the silhouette is at half coverage. A mask that is all inside or all
-/// outside has no silhouette, and distances of the size of the image.
+/// The exact Euclidean transform of Felzenszwalb and Huttenlocher ("Distance Transforms of Sampled
+/// Functions", 2012), run for the pixels on either side; next to the silhouette the coverage of
+/// partly covered pixels gives subpixel distances. `coverage` holds `width * height` values in [0,
+/// 1]; the silhouette is at half coverage. A mask that is all inside or all outside has no
+/// silhouette, and distances of the size of the image.
 pub fn signed_distance(coverage: &[f32], width: usize, height: usize) -> Vec<f32> {
     assert_eq!(coverage.len(), width * height, "one coverage per pixel");
     let inside = |i: usize| coverage[i] >= 0.5;
     let to_inside = squared_distance(width, height, inside);
     let to_outside = squared_distance(width, height, |i| !inside(i));
     let distance = |i: usize| {
-        // Pixels next to the other side: the silhouette lies between the two centers, half a pixel away on average.
+        // Pixels next to the other side: the silhouette lies between the two centers, half a pixel
+        // away on average.
         let (far, sign) = if inside(i) { (to_outside[i], -1.0) } else { (to_inside[i], 1.0) };
         let partly = coverage[i] > 0.0 && coverage[i] < 1.0;
         if partly && far <= 2.0 { 0.5 - coverage[i] } else { sign * (far.sqrt() - 0.5) }
@@ -187,7 +193,8 @@ pub fn signed_distance(coverage: &[f32], width: usize, height: usize) -> Vec<f32
     (0..coverage.len()).map(distance).collect()
 }
 
-/// Squared distance from every pixel to the nearest one that is `set`; at most that across the image.
+/// Squared distance from every pixel to the nearest one that is `set`; at most that across the
+/// image.
 fn squared_distance(width: usize, height: usize, set: impl Fn(usize) -> bool) -> Vec<f32> {
     let far = ((width + height) * (width + height)) as f32;
     let mut grid: Vec<f32> = (0..width * height).map(|i| if set(i) { 0.0 } else { far }).collect();

@@ -1,5 +1,6 @@
-//! Photographs and masks as they are kept: in the bytes of their files where those are 8-bit, as half floats where these hold the values,
-//! and only inside a window, since most photographs are mostly background.
+//! Photographs and masks as they are kept: in the bytes of their files where those are 8-bit, as
+//! half floats where these hold the values, and only inside a window, since most photographs are
+//! mostly background.
 
 use crate::view::{Image, Mask, PixelWindow};
 use crate::{Error, Result};
@@ -20,7 +21,8 @@ enum Numbers {
 }
 
 impl Numbers {
-    /// As half floats if they hold all values exactly, or if rounding is allowed and none is too large.
+    /// As half floats if they hold all values exactly, or if rounding is allowed and none is too
+    /// large.
     fn of(values: impl Iterator<Item = f32> + Clone, may_round: bool) -> Self {
         let holds = |value: f32| {
             let rounded = f16::from_f32(value);
@@ -120,9 +122,11 @@ pub struct Photograph {
 }
 
 impl Photograph {
-    /// From linear radiance, coverage-weighted on black, and flags of saturated pixels, inside a window.
+    /// From linear radiance, coverage-weighted on black, and flags of saturated pixels, inside a
+    /// window.
     ///
-    /// With `may_round` values are rounded to half floats (11 bits); without, they are kept exactly.
+    /// With `may_round` values are rounded to half floats (11 bits); without, they are kept
+    /// exactly.
     ///
     /// # Errors
     /// [`Error::Run`] if the lists have other lengths than the picture.
@@ -158,7 +162,8 @@ impl Photograph {
         Self { window, ..Self::of_numbers(width, height, Numbers::of(std::iter::empty(), false)) }
     }
 
-    /// From integer samples of 1 to 4 channels (an even count has straight alpha as the last), inside a window.
+    /// From integer samples of 1 to 4 channels (an even count has straight alpha as the last),
+    /// inside a window.
     pub fn of_integers(
         size: [u32; 2],
         samples: IntegerSamples,
@@ -225,14 +230,16 @@ impl Photograph {
         }
     }
 
-    /// Whether a channel of the pixel is at the top of its range (8-bit 255, 16-bit 65535): the loss uses a clipped channel as a
-    /// lower bound. Also set where a value of a file was not finite.
+    /// Whether a channel of the pixel is at the top of its range (8-bit 255, 16-bit 65535): the
+    /// loss uses a clipped channel as a lower bound. Also set where a value of a file was not
+    /// finite.
     #[inline]
     pub fn is_saturated(&self, pixel: usize) -> bool {
         self.window.place(pixel, self.width).is_some_and(|at| self.saturated.get(at))
     }
 
-    /// The greatest channel of any pixel that is kept: of 8- and 16-bit photographs the greatest that it could be.
+    /// The greatest channel of any pixel that is kept: of 8- and 16-bit photographs the greatest
+    /// that it could be.
     pub fn highest(&self) -> f32 {
         self.highest
     }

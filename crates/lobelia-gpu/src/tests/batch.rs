@@ -196,7 +196,8 @@ impl Results {
         ]
     }
 
-    /// Largest difference from `other` of each kind, relative to the largest value of that kind in `sizes`.
+    /// Largest difference from `other` of each kind, relative to the largest value of that kind in
+    /// `sizes`.
     pub fn errors(&self, other: &Self, sizes: &Self) -> Vec<(&'static str, f32)> {
         let largest = |values: &[f32]| values.iter().fold(0.0f32, |a, b| a.max(b.abs()));
         let mut errors = Vec::new();

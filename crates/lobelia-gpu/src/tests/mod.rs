@@ -11,9 +11,9 @@ use std::sync::OnceLock;
 
 const FORMS: [ClosedForm; 2] = [ClosedForm::Published, ClosedForm::Accurate(Quality::Default)];
 const ROUGHNESS: [f32; 3] = [0.1, 0.3, 0.7];
-/// Largest difference between GPU and CPU, relative to the largest value of its kind in the batch, or to the largest sum
-/// of magnitudes. An exponent −λ (1 − cos θ) is rounded to λ ε, where λ = 2 / R⁴ is the sharpness of the NDF; how much of
-/// that is seen depends on the instructions of both.
+/// Largest difference between GPU and CPU, relative to the largest value of its kind in the batch,
+/// or to the largest sum of magnitudes. An exponent −λ (1 − cos θ) is rounded to λ ε, where λ = 2 /
+/// R⁴ is the sharpness of the NDF; how much of that is seen depends on the instructions of both.
 fn agreement(roughness: f32) -> f32 {
     1e-4 + 0.1 * f32::EPSILON * 2.0 / roughness.powi(4)
 }

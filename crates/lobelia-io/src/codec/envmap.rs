@@ -14,13 +14,15 @@ const WIDEST_KEPT: u32 = 4096;
 const WIDEST_AVERAGED: u32 = 2048;
 /// The greatest radiance of a texel. The disc of the sun has 1.6·10⁹ cd/m².
 const BRIGHTEST_TEXEL: f32 = 1.0e10;
-/// A map no texel of which is above this is black: squares of its values vanish in single precision.
+/// A map no texel of which is above this is black: squares of its values vanish in single
+/// precision.
 const BLACK_MAP: f32 = 1.0e-9;
 /// The share of brighter texels from which on a map is refused: they are no stray ones.
 const MOST_TOO_BRIGHT: f64 = 0.01;
 const EXPORT_HELP: &str = "export the map again as OpenEXR (R, G, B or Y channels) or Radiance .hdr";
 
-/// Reads an OpenEXR or Radiance HDR latitude-longitude map; the first bytes of the file determine the format.
+/// Reads an OpenEXR or Radiance HDR latitude-longitude map; the first bytes of the file determine
+/// the format.
 ///
 /// Like [`read_map_with_notes`], without the notes about repairs and resizing.
 ///
@@ -32,12 +34,13 @@ pub fn read_map(path: impl AsRef<Path>) -> Result<EnvironmentMap> {
 
 /// Reads a map and returns notes about repairs and changes, one sentence each.
 ///
-/// Other channels of an EXR than those of its picture, R, G, B or Y, are ignored. Values that are not finite are set to 0, negative ones clamped to 0, and texels
-/// above 10¹⁰ set to 0; each is counted in a note. Maps wider than 4096 texels are averaged to at most 2048.
+/// Other channels of an EXR than those of its picture, R, G, B or Y, are ignored. Values that are
+/// not finite are set to 0, negative ones clamped to 0, and texels above 10¹⁰ set to 0; each is
+/// counted in a note. Maps wider than 4096 texels are averaged to at most 2048.
 ///
 /// # Errors
-/// [`Error::Input`] for what [`decode_samples`] refuses, for integers, a shape that is not exactly 2:1, all values non-finite, all black, or more than 1 % of
-/// texels absurdly bright.
+/// [`Error::Input`] for what [`decode_samples`] refuses, for integers, a shape that is not exactly
+/// 2:1, all values non-finite, all black, or more than 1 % of texels absurdly bright.
 pub fn read_map_with_notes(path: impl AsRef<Path>) -> Result<(EnvironmentMap, Vec<String>)> {
     let path = path.as_ref();
     let wrong = |problem: String, help: &str| Error::input(path, "", problem, help);
@@ -98,21 +101,25 @@ pub fn read_map_with_notes(path: impl AsRef<Path>) -> Result<(EnvironmentMap, Ve
     Ok((map, happened.map(|(_, note)| format!("{}: {note}", path.display())).collect()))
 }
 
-/// Writes an OpenEXR file with `f32` R, G, B channels; `path` is created only when the file is complete.
+/// Writes an OpenEXR file with `f32` R, G, B channels; `path` is created only when the file is
+/// complete.
 ///
 /// # Errors
-/// [`Error::Run`] for a map without texels or with a radiance that is not finite; [`Error::Io`] if the file cannot be written.
+/// [`Error::Run`] for a map without texels or with a radiance that is not finite; [`Error::Io`] if
+/// the file cannot be written.
 pub fn write_map_exr(map: &EnvironmentMap, path: impl AsRef<Path>) -> Result<()> {
     let mut layers = ExrLayers { width: map.width, height: map.height, ..ExrLayers::default() };
     layers.insert_triple(["R", "G", "B"], &map.radiance);
     write_channels(path, &layers)
 }
 
-/// Writes a Radiance HDR file, for programs that read no OpenEXR; `path` is created only when the file is complete.
+/// Writes a Radiance HDR file, for programs that read no OpenEXR; `path` is created only when the
+/// file is complete.
 ///
 /// # Errors
-/// [`Error::Run`] for a map of another size than its texels, or with a radiance that is negative, not finite or above
-/// [`MAX_RADIANCE`](lobelia_world::light::MAX_RADIANCE); [`Error::Io`] if the file cannot be written.
+/// [`Error::Run`] for a map of another size than its texels, or with a radiance that is negative,
+/// not finite or above [`MAX_RADIANCE`](lobelia_world::light::MAX_RADIANCE); [`Error::Io`] if the
+/// file cannot be written.
 pub fn write_map_hdr(map: &EnvironmentMap, path: &Path) -> Result<()> {
     let wrong = |problem: String| file::not_written(path, problem);
     let [width, height] = [map.width, map.height].map(|side| side as usize);
@@ -127,7 +134,8 @@ pub fn write_map_hdr(map: &EnvironmentMap, path: &Path) -> Result<()> {
     file::write_bytes(path, &bytes)
 }
 
-/// The nearest radiance of three mantissas of eight bits and one exponent; the encoder itself rounds toward zero, which dims a light.
+/// The nearest radiance of three mantissas of eight bits and one exponent; the encoder itself
+/// rounds toward zero, which dims a light.
 fn nearest_rgbe(radiance: Vec3) -> Vec3 {
     let largest = f64::from(radiance.max_element());
     if largest < f64::from(f32::MIN_POSITIVE) {

@@ -19,8 +19,9 @@ pub struct ExrLayers {
     pub width: u32,
     /// Height of the display window in pixels.
     pub height: u32,
-    /// Each channel's `width * height` values, row by row from the top left, by full name: `R`, `diffuse.R`, `depth.Z`.
-    /// In files with several named parts the name of the part comes before that of the channel. Pixels outside a layer are 0.
+    /// Each channel's `width * height` values, row by row from the top left, by full name: `R`,
+    /// `diffuse.R`, `depth.Z`. In files with several named parts the name of the part comes before
+    /// that of the channel. Pixels outside a layer are 0.
     pub channels: BTreeMap<String, Vec<f32>>,
 }
 
@@ -33,8 +34,9 @@ impl ExrLayers {
     }
 }
 
-/// The full names of the channels that make up the picture itself, R, G, B or Y, with A behind them if there is one: the channels
-/// without prefix if they have these, else those of the first prefix, in the order of names, that has them.
+/// The full names of the channels that make up the picture itself, R, G, B or Y, with A behind them
+/// if there is one: the channels without prefix if they have these, else those of the first prefix,
+/// in the order of names, that has them.
 fn picture<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Option<Vec<&'a str>> {
     let prefix_of = |name: &'a str| name.rfind('.').map_or("", |dot| &name[..=dot]);
     let mut prefixes: Vec<&str> = names.clone().map(prefix_of).collect();
@@ -74,7 +76,8 @@ pub(crate) fn decode_exr_picture(path: &Path, source: impl Read + Seek) -> Resul
 /// Reads all channels of all flat layers (half, float or uint) of an EXR file as `f32`.
 ///
 /// # Errors
-/// [`Error::Input`] if the file is missing, not an EXR, damaged, truncated, deep, chroma-subsampled, or empty.
+/// [`Error::Input`] if the file is missing, not an EXR, damaged, truncated, deep,
+/// chroma-subsampled, or empty.
 pub fn read_exr_layers(path: impl AsRef<Path>) -> Result<ExrLayers> {
     let path = path.as_ref();
     let contents = Contents::open(path, open(path, missing_file_help)?)?;
@@ -85,7 +88,8 @@ pub fn read_exr_layers(path: impl AsRef<Path>) -> Result<ExrLayers> {
     Ok(ExrLayers { width, height, channels })
 }
 
-/// Reads some channels of an EXR: those of a group lie side by side, pixel by pixel. Returns the size too.
+/// Reads some channels of an EXR: those of a group lie side by side, pixel by pixel. Returns the
+/// size too.
 ///
 /// # Errors
 /// As for [`read_exr_layers`]; also if a channel is missing.

@@ -1,7 +1,9 @@
-//! Writing of OpenEXR row by row: any channels by name, and the layered frame that a render pass writes, which can also be read.
+//! Writing of OpenEXR row by row: any channels by name, and the layered frame that a render pass
+//! writes, which can also be read.
 //!
-//! Blocks of rows are compressed by all threads and written when they are complete. They have OpenEXR's ZIP compression, at the fastest level: four
-//! times as fast as the level that the `exr` crate has, for files that are larger by a twentieth.
+//! Blocks of rows are compressed by all threads and written when they are complete. They have
+//! OpenEXR's ZIP compression, at the fastest level: four times as fast as the level that the `exr`
+//! crate has, for files that are larger by a twentieth.
 
 use crate::codec::exr::{ExrLayers, read_exr_groups};
 use crate::codec::file::{check_finite, not_written, write_file};
@@ -55,16 +57,19 @@ fn columns(frame: &Frame) -> Vec<Column<'_>> {
     columns
 }
 
-/// Writes `frame` as one single-part EXR with the channels named in [`Frame`], 32-bit float, ZIP (lossless).
+/// Writes `frame` as one single-part EXR with the channels named in [`Frame`], 32-bit float, ZIP
+/// (lossless).
 ///
 /// # Errors
-/// [`Error::Run`] if a list has the wrong length or holds a non-finite value; [`Error::Io`] if the file cannot be written.
+/// [`Error::Run`] if a list has the wrong length or holds a non-finite value; [`Error::Io`] if the
+/// file cannot be written.
 pub fn write_frame(path: impl AsRef<Path>, frame: &Frame) -> Result<()> {
     write_frame_rows(path, [frame.width, frame.height], |rows| rows.push(frame))
 }
 
-/// [`write_frame`] for a frame of `size` (width, height) that is never whole in memory: `fill` pushes its bands from the top. The file has the same bytes, however many rows a band has, and gets
-/// its name when `fill` has succeeded and all rows are there.
+/// [`write_frame`] for a frame of `size` (width, height) that is never whole in memory: `fill`
+/// pushes its bands from the top. The file has the same bytes, however many rows a band has, and
+/// gets its name when `fill` has succeeded and all rows are there.
 ///
 /// # Errors
 /// As for [`write_frame`], and whatever `fill` returns.
@@ -79,8 +84,8 @@ pub fn write_frame_rows(
 /// Writes `channels` as one single-part EXR, 32-bit float, ZIP (lossless), increasing lines.
 ///
 /// # Errors
-/// [`Error::Run`] if the image is empty or a channel has the wrong length or holds a non-finite value; [`Error::Io`] if the file
-/// cannot be written.
+/// [`Error::Run`] if the image is empty or a channel has the wrong length or holds a non-finite
+/// value; [`Error::Io`] if the file cannot be written.
 pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()> {
     let size = [channels.width as usize, channels.height as usize];
     let columns: Vec<_> = channels.channels.iter().map(|(name, values)| Column::new(name, values)).collect();
@@ -138,7 +143,8 @@ impl FrameRows<'_> {
     /// Writes the next rows.
     ///
     /// # Errors
-    /// As for [`write_frame`]; [`Error::Run`] if the width differs or there are more rows than the frame has.
+    /// As for [`write_frame`]; [`Error::Run`] if the width differs or there are more rows than the
+    /// frame has.
     pub fn push(&mut self, band: &Frame) -> Result<()> {
         self.push_columns([band.width, band.height], &columns(band))
     }
@@ -190,8 +196,8 @@ impl FrameRows<'_> {
 
 /// A block of rows by its number, with ZIP if that makes it smaller.
 fn compressed(block: usize, data: &[u8]) -> Result<Chunk> {
-    // OpenEXR compresses the bytes of even places, then those of odd ones, each as 128 more than its difference to the one before; the first
-    // stays as it is.
+    // OpenEXR compresses the bytes of even places, then those of odd ones, each as 128 more than
+    // its difference to the one before; the first stays as it is.
     let mut bytes: Vec<u8> = data.iter().step_by(2).chain(data.iter().skip(1).step_by(2)).copied().collect();
     let mut before = 128u8;
     for byte in &mut bytes {
@@ -252,10 +258,12 @@ pub fn read_frame(path: impl AsRef<Path>) -> Result<Frame> {
     Ok(frame)
 }
 
-/// Reads color, coverage and some other layers of a frame that [`write_frame`] wrote; the others, and depth, are empty.
+/// Reads color, coverage and some other layers of a frame that [`write_frame`] wrote; the others,
+/// and depth, are empty.
 ///
 /// # Errors
-/// As for [`read_exr_layers`](crate::codec::exr::read_exr_layers), and [`Error::Input`] if a layer is missing.
+/// As for [`read_exr_layers`](crate::codec::exr::read_exr_layers), and [`Error::Input`] if a layer
+/// is missing.
 pub fn read_frame_layers(path: impl AsRef<Path>, layers: &[Layer]) -> Result<Frame> {
     let mut frame = Frame::default();
     let mut groups: Vec<&[&str]> = vec![&COLOR];

@@ -1,4 +1,5 @@
-//! Films of frames that are PNG files: an MP4 by the program `ffmpeg`, or a GIF where it is not installed.
+//! Films of frames that are PNG files: an MP4 by the program `ffmpeg`, or a GIF where it is not
+//! installed.
 
 use crate::codec::{file, png_file};
 use image::{Delay, DynamicImage, ImageError, RgbImage, codecs::gif::GifEncoder, codecs::gif::Repeat};
@@ -9,8 +10,9 @@ use std::{ffi::OsStr, fs, fs::File, path::Path, path::PathBuf};
 
 /// The program that encodes films.
 pub const FFMPEG: &str = "ffmpeg";
-/// Colors in BT.709 of limited range, and said to be: players take another matrix for small pictures that say nothing. Lower numbers
-/// behind `-crf`, if the encoder is x264, are better pictures in larger files: 18 looks as the frames do.
+/// Colors in BT.709 of limited range, and said to be: players take another matrix for small
+/// pictures that say nothing. Lower numbers behind `-crf`, if the encoder is x264, are better
+/// pictures in larger files: 18 looks as the frames do.
 const ENCODING: &str = "-vf scale=out_color_matrix=bt709:out_range=tv -pix_fmt yuv420p -c:v h264 -crf 18 \
     -color_range tv -colorspace bt709 -color_primaries bt709 -color_trc bt709 -movflags +faststart film.mp4";
 /// Speed of the search for the 256 colors of each frame of a GIF, 1 to 30.
@@ -18,12 +20,13 @@ const GIF_SPEED: i32 = 10;
 /// Lines of a failed program's output that its error quotes.
 const QUOTED_LINES: usize = 5;
 
-/// Writes the film of PNG files of one size, at `fps` frames per second: `stem`.mp4 (H.264), or `stem`.gif, which loops forever, where no
-/// program [`FFMPEG`] is found. The result is the path of the film. The bytes of an MP4 depend on the program.
+/// Writes the film of PNG files of one size, at `fps` frames per second: `stem`.mp4 (H.264), or
+/// `stem`.gif, which loops forever, where no program [`FFMPEG`] is found. The result is the path of
+/// the film. The bytes of an MP4 depend on the program.
 ///
 /// # Errors
-/// [`Error::Io`] if a frame cannot be read or the film cannot be written; [`Error::Run`] with the last lines of its output if the
-/// program fails; [`Error::Interrupted`] after Ctrl-C.
+/// [`Error::Io`] if a frame cannot be read or the film cannot be written; [`Error::Run`] with the
+/// last lines of its output if the program fails; [`Error::Interrupted`] after Ctrl-C.
 pub fn write_film(stem: &Path, frames: &[PathBuf], fps: u32) -> Result<PathBuf> {
     write_by(FFMPEG.as_ref(), stem, frames, fps)
 }
@@ -56,7 +59,8 @@ fn write_mp4(program: &OsStr, path: &Path, frames: &[PathBuf], fps: u32) -> Resu
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
         Err(error) => return Err(failed(format!("it cannot be started: {error}"))),
     };
-    // The program ends when it gets no more frames. One that has ended before takes none, and has said why.
+    // The program ends when it gets no more frames. One that has ended before takes none, and has
+    // said why.
     let fed = child.stdin.take().map_or(Ok(true), |input| feed(input, frames));
     let status = child.wait().map_err(|error| failed(error.to_string()))?;
     check_interrupted()?;
@@ -109,8 +113,8 @@ fn write_gif(path: &Path, frames: &[PathBuf], fps: u32) -> Result<()> {
     })
 }
 
-/// Duration of frame `i` in hundredths of a second, in which GIF counts, such that the first n together last n / fps, rounded. Viewers
-/// slow down frames shorter than two.
+/// Duration of frame `i` in hundredths of a second, in which GIF counts, such that the first n
+/// together last n / fps, rounded. Viewers slow down frames shorter than two.
 fn hundredths(i: u32, fps: u32) -> u32 {
     let end_of = |frames: u32| (100.0 * f64::from(frames) / f64::from(fps)).round();
     (end_of(i + 1) - end_of(i)).max(2.0) as u32

@@ -1,4 +1,5 @@
-//! Reading and writing of files: images, environment maps, light lobes, meshes. Formats do not depend on systems.
+//! Reading and writing of files: images, environment maps, light lobes, meshes. Formats do not
+//! depend on systems.
 //!
 //! | module | reads | writes |
 //! | --- | --- | --- |

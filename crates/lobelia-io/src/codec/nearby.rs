@@ -37,7 +37,8 @@ pub fn closest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) ->
     scored.into_iter().take(3).map(|(_, candidate)| candidate).collect()
 }
 
-/// Help for a missing `path`: similar names, or how much its folder holds, or the part of the path that is missing.
+/// Help for a missing `path`: similar names, or how much its folder holds, or the part of the path
+/// that is missing.
 pub fn missing_file_help(path: &Path) -> String {
     let folder = folder_of(path);
     let entries = match std::fs::read_dir(folder) {

@@ -1,8 +1,9 @@
-//! NumPy files: SG lobes of shape `[M, 7]` (axis, sharpness, RGB amplitude) and matrices in `.npy`, and matrices in `.npz`, a zip
-//! archive, stored or deflated, of `.npy` files.
+//! NumPy files: SG lobes of shape `[M, 7]` (axis, sharpness, RGB amplitude) and matrices in `.npy`,
+//! and matrices in `.npz`, a zip archive, stored or deflated, of `.npy` files.
 //!
-//! The header of an array is magic bytes, a version, a length, and a Python dictionary of three plain values. None of them contains others, so the parser
-//! never recurses; a header of more than 10 000 bytes is an error, as in NumPy.
+//! The header of an array is magic bytes, a version, a length, and a Python dictionary of three
+//! plain values. None of them contains others, so the parser never recurses; a header of more than
+//! 10 000 bytes is an error, as in NumPy.
 
 use crate::codec::file::{check_finite, read_up_to, write_bytes};
 use glam::{DVec3, Vec3};
@@ -15,7 +16,8 @@ use zip::{ZipArchive, result::ZipError};
 const MAGIC: &[u8] = b"\x93NUMPY";
 /// Most bytes of a dictionary.
 const MOST_HEADER_BYTES: usize = 10_000;
-/// Largest file of lobes that is read: the most take 115 kB in double precision, and the shape of a larger light is worth naming.
+/// Largest file of lobes that is read: the most take 115 kB in double precision, and the shape of a
+/// larger light is worth naming.
 const MOST_FILE_BYTES: u64 = 256 << 20;
 /// Most bytes of an archive.
 const MOST_ARCHIVE_BYTES: u64 = 64 << 20;
@@ -31,7 +33,8 @@ pub enum NpyConvention {
     /// World directions (PhySG's own training writes the same).
     #[default]
     Lobelia,
-    /// PhySG's published `envmap*_sg_fit` files, whose maps have θ = 2πu: (x, y, z) in the file is (z, y, −x) in the world.
+    /// PhySG's published `envmap*_sg_fit` files, whose maps have θ = 2πu: (x, y, z) in the file is
+    /// (z, y, −x) in the world.
     PhySgFit,
 }
 
@@ -74,13 +77,14 @@ pub(crate) fn parse_matrix(bytes: &[u8]) -> Result<Matrix, String> {
 
 /// Reads lobes from an `.npy` file of shape `[M, 7]`, or `[M, 5]` with one gray amplitude.
 ///
-/// `f32` or `f64`, little-endian, C or Fortran order; at most 2048 rows. Reading takes the absolute values of sharpness and
-/// amplitude, and normalizes axes. An axis whose length is within 10⁻⁶ of 1 keeps its bits, so that files written
-/// by [`write_lobes`] are read back exactly.
+/// `f32` or `f64`, little-endian, C or Fortran order; at most 2048 rows. Reading takes the absolute
+/// values of sharpness and amplitude, and normalizes axes. An axis whose length is within 10⁻⁶ of 1
+/// keeps its bits, so that files written by [`write_lobes`] are read back exactly.
 ///
 /// # Errors
-/// [`Error::Input`] naming the row (from 0) for a zero axis or a non-finite value, and for a missing or truncated file, one
-/// of another format, another shape or type, no rows or more than 2048.
+/// [`Error::Input`] naming the row (from 0) for a zero axis or a non-finite value, and for a
+/// missing or truncated file, one of another format, another shape or type, no rows or more than
+/// 2048.
 pub fn read_lobes(path: impl AsRef<Path>, convention: NpyConvention) -> Result<Vec<LightLobe>> {
     let path = path.as_ref();
     // More than a header and the most rows are read only to say that there are more.
@@ -101,7 +105,8 @@ pub fn read_lobes(path: impl AsRef<Path>, convention: NpyConvention) -> Result<V
     values.chunks_exact(columns).enumerate().map(|(row, v)| lobe_of_row(path, row, v, convention)).collect()
 }
 
-/// Writes lobes as an `f32`, little-endian, C-order `.npy` file of shape `[M, 7]`; it is created only when it is complete.
+/// Writes lobes as an `f32`, little-endian, C-order `.npy` file of shape `[M, 7]`; it is created
+/// only when it is complete.
 ///
 /// # Errors
 /// [`Error::Run`] for a lobe that is not finite; [`Error::Io`] if the file cannot be written.
@@ -116,7 +121,8 @@ pub fn write_lobes(path: impl AsRef<Path>, lobes: &[LightLobe], convention: NpyC
     let values: Vec<f32> = lobes.iter().flat_map(row).collect();
     check_finite(path, values.iter().copied(), |at| format!("lobe {} is not finite", at / 7))?;
     let text = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({}, 7), }}", lobes.len());
-    // Values start at a multiple of 64 bytes, after a line break; two numbers of at most 20 digits are far below 2¹⁶ bytes.
+    // Values start at a multiple of 64 bytes, after a line break; two numbers of at most 20 digits
+    // are far below 2¹⁶ bytes.
     let start = (MAGIC.len() + 4 + text.len() + 1).next_multiple_of(64);
     let length = start - MAGIC.len() - 4;
     let padded = format!("{text:<width$}\n", width = length - 1);
@@ -153,7 +159,8 @@ fn lobe_of_row(path: &Path, row: usize, v: &[f64], convention: NpyConvention) ->
     })
 }
 
-/// The header of an array: the type of the values in NumPy's short form, e.g. `<f4`; whether the first index runs fastest; and its lengths.
+/// The header of an array: the type of the values in NumPy's short form, e.g. `<f4`; whether the
+/// first index runs fastest; and its lengths.
 type Header<'a> = (&'a str, bool, Vec<usize>);
 
 /// The header, and the bytes after it.
@@ -193,7 +200,8 @@ impl Npz {
     /// Opens an archive; `help` returns the remedy for a missing file.
     ///
     /// # Errors
-    /// [`Error::Input`] if the file is missing, empty, larger than 64 MiB, or not an undamaged zip archive.
+    /// [`Error::Input`] if the file is missing, empty, larger than 64 MiB, or not an undamaged zip
+    /// archive.
     pub fn open(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Self> {
         let bytes = read_up_to(path, MOST_ARCHIVE_BYTES, help)?;
         let archive = ZipArchive::new(Cursor::new(bytes)).map_err(|error| damaged(path, "", &error))?;
@@ -209,7 +217,8 @@ impl Npz {
     /// The matrix called `name`; `None` if there is no array of this name.
     ///
     /// # Errors
-    /// [`Error::Input`] that names the array if it is damaged, has more than 1 MiB, or is not a matrix of floats.
+    /// [`Error::Input`] that names the array if it is damaged, has more than 1 MiB, or is not a
+    /// matrix of floats.
     pub fn matrix(&mut self, name: &str) -> Result<Option<Matrix>> {
         let Self { path, archive } = self;
         let place = format!("`{name}`");

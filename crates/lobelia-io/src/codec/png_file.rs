@@ -47,13 +47,14 @@ const SOFTWARE: &str = "Software";
 /// Compressed bytes that are collected before they are written: one chunk of the file.
 const CHUNK_BYTES: usize = 1 << 20;
 
-/// Writes an 8-bit sRGB picture of `size` (width, height) that is never whole in memory: `fill` pushes its rows from the top. The file has
-/// the same bytes, however many rows are pushed at a time, and gets its name when `fill` has succeeded and all rows are there. `software` is
-/// the program that it says it was written by.
+/// Writes an 8-bit sRGB picture of `size` (width, height) that is never whole in memory: `fill`
+/// pushes its rows from the top. The file has the same bytes, however many rows are pushed at a
+/// time, and gets its name when `fill` has succeeded and all rows are there. `software` is the
+/// program that it says it was written by.
 ///
 /// # Errors
-/// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture or another number of rows, and whatever
-/// `fill` returns.
+/// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture or another
+/// number of rows, and whatever `fill` returns.
 pub fn write_rows(
     path: impl AsRef<Path>,
     size: [u32; 2],

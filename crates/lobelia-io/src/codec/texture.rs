@@ -10,8 +10,8 @@ use std::path::Path;
 
 const SAVED: &str = "Use the file that `Save` wrote beside the scene.";
 
-/// Reads an image (PNG as sRGB, EXR as linear) as `width * height` linear colors, row 0 at v = 0. An image of that size is
-/// used as it is; others are resampled bilinearly.
+/// Reads an image (PNG as sRGB, EXR as linear) as `width * height` linear colors, row 0 at v = 0.
+/// An image of that size is used as it is; others are resampled bilinearly.
 ///
 /// # Errors
 /// If the file cannot be read.
@@ -46,7 +46,8 @@ pub fn read_texture_mask(path: &Path, width: u32, height: u32) -> Result<Vec<f32
     Ok(resampled.into_iter().map(|v| v.x).collect())
 }
 
-/// Reads an EXR of vectors, one channel for each of `axes`, as `width * height` values, row 0 at v = 0; resampled like [`read_texture`].
+/// Reads an EXR of vectors, one channel for each of `axes`, as `width * height` values, row 0 at v
+/// = 0; resampled like [`read_texture`].
 ///
 /// # Errors
 /// [`Error::Input`] if the file is not an EXR with these channels, all finite.
@@ -59,11 +60,12 @@ pub fn read_vectors(path: &Path, axes: [&str; 3], width: u32, height: u32) -> Re
     Err(Error::input(path, "", "has values that are not finite", SAVED))
 }
 
-/// Reads blend weights: channels `weight0`, `weight1` and so on, one for each of `materials`; weights with a sum above one are
-/// normalized to sum to one.
+/// Reads blend weights: channels `weight0`, `weight1` and so on, one for each of `materials`;
+/// weights with a sum above one are normalized to sum to one.
 ///
 /// # Errors
-/// [`Error::Input`] if the file is not an EXR of `width` × `height` pixels with those channels, all finite and ≥ 0.
+/// [`Error::Input`] if the file is not an EXR of `width` × `height` pixels with those channels, all
+/// finite and ≥ 0.
 pub fn read_weights(path: &Path, materials: usize, width: u32, height: u32) -> Result<Vec<SpecularBlend>> {
     let names: Vec<String> = (0..materials).map(|k| format!("weight{k}")).collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
@@ -92,7 +94,8 @@ fn resample(values: &[Vec3], from: [u32; 2], to: [u32; 2]) -> Vec<Vec3> {
     if from == to {
         return values.to_vec();
     }
-    // Position among source texel centers, clamped at the borders, as (first index, second index, weight of the second).
+    // Position among source texel centers, clamped at the borders, as (first index, second index,
+    // weight of the second).
     let along = |i: u32, axis: usize| {
         let at = (i as f32 + 0.5) * from[axis] as f32 / to[axis] as f32 - 0.5;
         let at = at.clamp(0.0, (from[axis] - 1) as f32);

@@ -1,6 +1,8 @@
-//! Writing a mesh with its material as USD: text (`.usda`) with files beside it, or one package (`.usdz`).
+//! Writing a mesh with its material as USD: text (`.usda`) with files beside it, or one package
+//! (`.usdz`).
 //!
-//! The material is a `UsdPreviewSurface` in its specular workflow: F0 is given, F90 is one, and the lobe is GGX with α = roughness².
+//! The material is a `UsdPreviewSurface` in its specular workflow: F0 is given, F90 is one, and the
+//! lobe is GGX with α = roughness².
 
 use crate::codec::{file::not_written, file::write_bytes, gltf::export::check_mesh};
 use glam::Vec3;
@@ -49,11 +51,13 @@ pub enum UpAxis {
     Z,
 }
 
-/// Writes `path` (`.usda`) and the textures beside it. Of a `light` there are the file name of its image, beside the USD file, and its rotation
-/// about +Y in degrees from USD's convention: the middle of the image at +Z, the quarter from the left at +X.
+/// Writes `path` (`.usda`) and the textures beside it. Of a `light` there are the file name of its
+/// image, beside the USD file, and its rotation about +Y in degrees from USD's convention: the
+/// middle of the image at +Z, the quarter from the left at +X.
 ///
 /// # Errors
-/// [`Error::Run`](lobelia_geometry::Error::Run) for a mesh without texture coordinates, or a number that is not finite; [`Error::Io`](lobelia_geometry::Error::Io) if a file cannot be written.
+/// [`Error::Run`](lobelia_geometry::Error::Run) for a mesh without texture coordinates, or a number
+/// that is not finite; [`Error::Io`](lobelia_geometry::Error::Io) if a file cannot be written.
 pub fn write_usda(
     path: &Path,
     mesh: &Mesh,

@@ -1,5 +1,7 @@
-//! COLMAP's layout, as the manual's chapter on layouts tells it: a reconstruction in `DIR/sparse/0`, photographs in `DIR/images`, masks in
-//! `DIR/masks`, and lists of the splits. An image of the model is a quaternion (w first) and a translation, both camera_from_world, OpenCV axes.
+//! COLMAP's layout, as the manual's chapter on layouts tells it: a reconstruction in
+//! `DIR/sparse/0`, photographs in `DIR/images`, masks in `DIR/masks`, and lists of the splits. An
+//! image of the model is a quaternion (w first) and a translation, both camera_from_world, OpenCV
+//! axes.
 
 use crate::codec::{file::is_there, file::read_bytes, image::has_extension, nearby::missing_file_help};
 use crate::dataset::files::{
@@ -13,8 +15,9 @@ use glam::{Affine3A, DMat3, DQuat, DVec3};
 use lobelia_geometry::{Error, Result, view::Split};
 use std::{collections::BTreeMap, collections::BTreeSet, path::Path, path::PathBuf, str::FromStr};
 
-/// Where reconstructions are, and the folder of photographs that belongs to each: COLMAP's own, nerfstudio's, the outputs of COLMAP's
-/// `image_undistorter` and `automatic_reconstructor`, what 3D Gaussian splatting keeps of the distorted photographs, and instant-ngp's.
+/// Where reconstructions are, and the folder of photographs that belongs to each: COLMAP's own,
+/// nerfstudio's, the outputs of COLMAP's `image_undistorter` and `automatic_reconstructor`, what 3D
+/// Gaussian splatting keeps of the distorted photographs, and instant-ngp's.
 const PLACES: [(&str, &str); 9] = [
     ("sparse", "images"),
     ("colmap/sparse", "images"),
@@ -40,7 +43,8 @@ struct Place {
     /// The `images` files of its models; at least one.
     models: Vec<PathBuf>,
     photographs: PathBuf,
-    /// Whether the photographs are where they usually are, and not in a folder beside that of another usual name, or nowhere.
+    /// Whether the photographs are where they usually are, and not in a folder beside that of
+    /// another usual name, or nowhere.
     is_usual: bool,
 }
 
@@ -94,14 +98,15 @@ pub(super) fn has_split(dir: &Path, split: Split) -> bool {
     Place::find(dir).is_some() && (split == Split::Train || is_there(&list_file(dir, split)))
 }
 
-/// Whether the reconstruction is there for the record only, beside the cameras of another layout that were made of it, or has no
-/// photographs in the folder that belongs to it.
+/// Whether the reconstruction is there for the record only, beside the cameras of another layout
+/// that were made of it, or has no photographs in the folder that belongs to it.
 pub(super) fn is_for_the_record(dir: &Path) -> bool {
     let is_kept = |file: &PathBuf| FOR_THE_RECORD.iter().any(|folder| file.starts_with(dir.join(folder)));
     Place::find(dir).is_some_and(|place| place.models.iter().all(is_kept) || !place.is_usual)
 }
 
-/// The file of the model with the most images, the first of equals, its images, and a note about the others.
+/// The file of the model with the most images, the first of equals, its images, and a note about
+/// the others.
 fn largest(models: &[PathBuf]) -> Result<(&Path, Vec<ModelImage>, Option<String>)> {
     let mut read = models.iter().map(|file| images_of(file)).collect::<Result<Vec<_>>>()?;
     let chosen = (0..read.len()).rev().max_by_key(|i| read[*i].len()).unwrap_or(0);
@@ -139,7 +144,8 @@ pub fn largest_model(folder: &Path) -> Result<Option<LargestModel>> {
     Ok(Some(LargestModel { folder: file.parent().unwrap_or(folder).to_owned(), names, note }))
 }
 
-/// Plans the views of a split, in the order of their names; without lists, all are of the training split.
+/// Plans the views of a split, in the order of their names; without lists, all are of the training
+/// split.
 pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     let Some(Place { models, photographs, .. }) = Place::find(dir) else {
         let help = missing_file_help(&dir.join("sparse/0/cameras.bin"));
@@ -274,7 +280,8 @@ fn lens_of(model: &str, size: [u64; 2], parameters: &[f64]) -> Result<Lens, Trou
     possible.map(|_| lens).map_err(|problem| (problem, PARAMETERS_HELP))
 }
 
-/// A pose from a quaternion, w first, and a translation: seven numbers. `Err` says what is wrong, as a clause.
+/// A pose from a quaternion, w first, and a translation: seven numbers. `Err` says what is wrong,
+/// as a clause.
 fn pose_of(pose: &[f64]) -> Result<Rigid, String> {
     let (q, t) = pose.split_at(4);
     let quaternion = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
@@ -313,7 +320,8 @@ fn cameras_of_text(file: &Path) -> Result<BTreeMap<u32, Lens>> {
     Ok(cameras)
 }
 
-/// Each image has its own line; the lines of points between images hold triples of numbers, or are empty.
+/// Each image has its own line; the lines of points between images hold triples of numbers, or are
+/// empty.
 fn images_of_text(file: &Path) -> Result<Vec<ModelImage>> {
     let mut images = Vec::new();
     for (number, line) in lines(&read_text(file)?) {

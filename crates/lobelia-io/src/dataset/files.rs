@@ -1,4 +1,5 @@
-//! Files that camera files name: text and JSON, names of images and views, images and masks in folders, and lists of the views of a split.
+//! Files that camera files name: text and JSON, names of images and views, images and masks in
+//! folders, and lists of the views of a split.
 
 use crate::codec::file::{check_file_name, is_there, read_folder};
 use crate::codec::image::{IMAGE_EXTENSIONS, has_extension, image_header, is_unread_name};
@@ -13,7 +14,8 @@ use unicode_normalization::{UnicodeNormalization, is_nfc};
 const MOST_TEXT: u64 = 2 << 30;
 /// Most characters of a name in a message.
 const LONGEST: usize = 60;
-/// Names that folders of photographs usually have, in lower case, the most usual first: COLMAP takes any.
+/// Names that folders of photographs usually have, in lower case, the most usual first: COLMAP
+/// takes any.
 pub(super) const PHOTOGRAPH_FOLDERS: [&str; 8] =
     ["images", "image", "input", "rgb", "photos", "photographs", "pictures", "imgs"];
 /// Names of mask folders in lower case, in the order in which they are looked for.
@@ -49,8 +51,8 @@ fn last(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
 
-/// A view's name from its image's path: the file name without an image extension (`./train/r_0.5` is called `r_0.5`), be it of a format
-/// that is read or of another.
+/// A view's name from its image's path: the file name without an image extension (`./train/r_0.5`
+/// is called `r_0.5`), be it of a format that is read or of another.
 pub(super) fn view_name(path: &str) -> String {
     let path = Path::new(path);
     let is_image = has_extension(path, &IMAGE_EXTENSIONS) || is_unread_name(path);
@@ -58,8 +60,8 @@ pub(super) fn view_name(path: &str) -> String {
     name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The name of a view: the path of its image below the folder of images, without extension, as one file name. An absolute path is taken
-/// without its root.
+/// The name of a view: the path of its image below the folder of images, without extension, as one
+/// file name. An absolute path is taken without its root.
 pub(super) fn flat_name(path: &str) -> String {
     let folders = Path::new(path).parent().into_iter().flat_map(Path::components);
     let named = folders.filter(|part| !matches!(part, Component::RootDir | Component::Prefix(_)));
@@ -67,25 +69,28 @@ pub(super) fn flat_name(path: &str) -> String {
     folders.collect::<String>() + &view_name(path)
 }
 
-/// A path in a camera file as this program compares and opens it: Windows' separators and a leading `./` are replaced.
+/// A path in a camera file as this program compares and opens it: Windows' separators and a leading
+/// `./` are replaced.
 pub(super) fn portable(path: &str) -> String {
     let path = path.replace('\\', "/");
     path.strip_prefix("./").map_or_else(|| path.clone(), str::to_owned)
 }
 
-/// A name in the form in which letters with accents are one character each (NFC), as most programs write it; file systems of macOS may
-/// have it in another.
+/// A name in the form in which letters with accents are one character each (NFC), as most programs
+/// write it; file systems of macOS may have it in another.
 fn composed(name: &str) -> Cow<'_, str> {
     if is_nfc(name) { Cow::Borrowed(name) } else { Cow::Owned(name.nfc().collect()) }
 }
 
-/// The common part of the paths by which an image may be named: portable, composed and without extension.
+/// The common part of the paths by which an image may be named: portable, composed and without
+/// extension.
 pub(super) fn image_key(path: &str) -> String {
     let path = portable(path);
     composed(&Path::new(&path).with_file_name(view_name(&path)).to_string_lossy()).into_owned()
 }
 
-/// A portable path, then what is left of it without the first of its folders, without the first two, and so on to the file's name.
+/// A portable path, then what is left of it without the first of its folders, without the first
+/// two, and so on to the file's name.
 pub(super) fn tails(path: &str) -> impl Iterator<Item = &str> {
     std::iter::successors(Some(path), |tail| Some(tail.split_once('/')?.1.trim_start_matches('/')))
 }
@@ -95,7 +100,8 @@ pub(super) fn leads_away(path: &str) -> bool {
     Path::new(path).components().any(|part| !matches!(part, Component::Normal(_) | Component::CurDir))
 }
 
-/// A name of a file or view between backticks, without control characters, and cut where it is long.
+/// A name of a file or view between backticks, without control characters, and cut where it is
+/// long.
 pub(super) fn quoted(name: &str) -> String {
     let shown: String = name.chars().take(LONGEST).flat_map(char::escape_debug).collect();
     format!("`{shown}{}`", if name.chars().nth(LONGEST).is_some() { "…" } else { "" })
@@ -152,15 +158,16 @@ pub(super) fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
-/// Why the first file of a folder that is named as an image of a format that is not read is not read; of those with this stem, if one
-/// is given. `None` if there is no such file.
+/// Why the first file of a folder that is named as an image of a format that is not read is not
+/// read; of those with this stem, if one is given. `None` if there is no such file.
 pub(super) fn refusal_of_unread(folder: &Path, stem: Option<&str>) -> Option<Error> {
     let has_stem = |path: &Path, stem: &str| composed(&view_name(&file_name(path))) == composed(stem);
     let is_wanted = |path: &PathBuf| is_unread_name(path) && stem.is_none_or(|stem| has_stem(path, stem));
     image_header(entries(folder).filter(is_wanted).min()?).err()
 }
 
-/// A path that exists and differs from this one at most in the characters that letters with accents are made of.
+/// A path that exists and differs from this one at most in the characters that letters with accents
+/// are made of.
 fn spelled_as_on_disk(path: &Path) -> Option<PathBuf> {
     if is_there(path) || path.as_os_str().is_empty() {
         return Some(path.to_owned());
@@ -169,7 +176,8 @@ fn spelled_as_on_disk(path: &Path) -> Option<PathBuf> {
     entries(&folder).filter(|path| composed(&file_name(path)) == composed(name)).min()
 }
 
-/// Whether there is an image at a path, or something that is called as one: reading it says why it is none.
+/// Whether there is an image at a path, or something that is called as one: reading it says why it
+/// is none.
 fn is_image_at(path: &Path) -> bool {
     path.is_file() || (has_extension(path, &IMAGE_EXTENSIONS) && is_there(path))
 }
@@ -214,7 +222,8 @@ impl StemIndex {
 /// Image files below a folder.
 pub(super) struct Folders {
     root: PathBuf,
-    /// The folders that were looked into, by their paths below the root; `None` where there is none.
+    /// The folders that were looked into, by their paths below the root; `None` where there is
+    /// none.
     found: BTreeMap<PathBuf, Option<StemIndex>>,
     /// The photographs that were found.
     used: BTreeSet<PathBuf>,
@@ -236,8 +245,8 @@ impl Folders {
         Ok(self.found[below].as_ref())
     }
 
-    /// The photograph with this path below the root, perhaps with another extension, or else with what is left of the path without some
-    /// of its folders; and the path that it was found by.
+    /// The photograph with this path below the root, perhaps with another extension, or else with
+    /// what is left of the path without some of its folders; and the path that it was found by.
     pub fn find(&mut self, path: &str) -> Option<(String, PathBuf)> {
         let mut inside = tails(path).filter(|tail| *tail == path || !leads_away(tail));
         let found = inside.find_map(|tail| Some((tail.to_owned(), self.image(tail)?)))?;
@@ -256,8 +265,9 @@ impl Folders {
         })
     }
 
-    /// The image with this path below the root, if there is one: itself, else with an extension added, in the order in which they are
-    /// tried and small letters first, else the only one of that name with another extension, as of photographs that were converted.
+    /// The image with this path below the root, if there is one: itself, else with an extension
+    /// added, in the order in which they are tried and small letters first, else the only one of
+    /// that name with another extension, as of photographs that were converted.
     pub fn image(&mut self, path: &str) -> Option<PathBuf> {
         let folder = self.folder(path).ok()??;
         let exact = folder.folder.join(last(path));
@@ -276,8 +286,8 @@ impl Folders {
         longer.or_else(|| converted.iter().find(is_called)).or_else(only).cloned()
     }
 
-    /// The mask of the photograph with this path below the folder of photographs: folders of masks are those of photographs, but for
-    /// some above them.
+    /// The mask of the photograph with this path below the folder of photographs: folders of masks
+    /// are those of photographs, but for some above them.
     pub fn mask(&mut self, photograph: &str) -> Result<PathBuf> {
         for tail in tails(photograph).filter(|tail| !leads_away(tail)) {
             if let Some(mask) = self.folder(tail)?.and_then(|masks| mask_file(masks, last(tail))) {
@@ -287,7 +297,8 @@ impl Folders {
         Err(missing_mask(&self.root, last(photograph)))
     }
 
-    /// A note on the photographs, in the folders that were looked into, that were not found for any view.
+    /// A note on the photographs, in the folders that were looked into, that were not found for any
+    /// view.
     pub fn note_of_unused(&self) -> Option<String> {
         let is_used = |files: &Vec<PathBuf>| files.iter().any(|file| self.used.contains(file));
         let stems = self.found.values().flatten().flat_map(|folder| folder.files.values());
@@ -297,8 +308,8 @@ impl Folders {
     }
 }
 
-/// The folder of masks in `dir`, or in its folder of photographs, if there is one: of a usual name, or else the only one whose name has a
-/// word of masks and none of a split. Case does not count.
+/// The folder of masks in `dir`, or in its folder of photographs, if there is one: of a usual name,
+/// or else the only one whose name has a word of masks and none of a split. Case does not count.
 pub(super) fn mask_folder(dir: &Path) -> Option<PathBuf> {
     // Of several that differ in case, the one that has the name as it is, or else the first.
     let called = |dir: &Path, name: &str| {
@@ -321,8 +332,9 @@ pub(super) fn mask_folder(dir: &Path) -> Option<PathBuf> {
     })
 }
 
-/// The mask of the photograph with the file name `photograph`, with any image extension. For `a.jpg` the most exact of `a.jpg`, `a`,
-/// `a.jpg.mask`, `a.mask`, `a_mask`, `a-mask`, `mask_a` and the like.
+/// The mask of the photograph with the file name `photograph`, with any image extension. For
+/// `a.jpg` the most exact of `a.jpg`, `a`, `a.jpg.mask`, `a.mask`, `a_mask`, `a-mask`, `mask_a` and
+/// the like.
 ///
 /// # Errors
 /// [`Error::Input`] that names the photograph if there is none.
@@ -362,8 +374,8 @@ pub(super) struct SplitList {
     pub names: Vec<(String, String)>,
 }
 
-/// Whether the split has each of the views with these images, by lists of both; and a note on views that are left out. Without a list of
-/// its own the training split has the views of no other list.
+/// Whether the split has each of the views with these images, by lists of both; and a note on views
+/// that are left out. Without a list of its own the training split has the views of no other list.
 ///
 /// # Errors
 /// [`Error::Input`] that names the place of the first image that no view has.

@@ -1,10 +1,13 @@
-//! Layouts whose n-th camera belongs to the n-th photograph by name, as the manual's chapter on layouts tells them: IDR's, NeuS's and VolSDF's,
-//! LLFF's and NeRD's. Masks have the names of the photographs, or their order.
+//! Layouts whose n-th camera belongs to the n-th photograph by name, as the manual's chapter on
+//! layouts tells them: IDR's, NeuS's and VolSDF's, LLFF's and NeRD's. Masks have the names of the
+//! photographs, or their order.
 //!
-//! **IDR**: the 3×4 or 4×4 matrix `world_mat_n` projects the world of the capture to pixels, up to scale; pixel centers are at integers.
+//! **IDR**: the 3×4 or 4×4 matrix `world_mat_n` projects the world of the capture to pixels, up to
+//! scale; pixel centers are at integers.
 //!
-//! **LLFF**: a row of 17 numbers is a 3×5 matrix, row by row, and two depths. The first four columns are world_from_camera with the axes down,
-//! right and backward, and the position; the last is height, width and focal length in pixels, of which photographs may be scaled versions.
+//! **LLFF**: a row of 17 numbers is a 3×5 matrix, row by row, and two depths. The first four
+//! columns are world_from_camera with the axes down, right and backward, and the position; the last
+//! is height, width and focal length in pixels, of which photographs may be scaled versions.
 
 use crate::codec::npy::{Matrix, Npz, parse_matrix};
 use crate::codec::{file::is_there, file::read_up_to, nearby::missing_file_help};
@@ -23,7 +26,8 @@ const IDR_FILES: [&str; 3] = ["cameras_sphere.npz", "cameras_large.npz", "camera
 const IDR_PHOTOGRAPHS: [&str; 3] = ["image", "images", "rgb"];
 const IDR_HELP: &str =
     "world_mat_n is the 4×4 matrix that projects points of the world to pixels of the n-th photograph.";
-/// The volume that the rows of a 3×3 matrix span, relative to their lengths, below which it counts as singular.
+/// The volume that the rows of a 3×3 matrix span, relative to their lengths, below which it counts
+/// as singular.
 const LEAST_VOLUME: f64 = 1e-9;
 const LLFF_PHOTOGRAPHS: [&str; 6] = ["images", "images_1", "images_2", "images_4", "images_8", "image"];
 const LLFF_COLUMNS: usize = 17;
@@ -86,8 +90,9 @@ pub(super) fn plan_llff(dir: &Path) -> Result<Plan> {
     views_in_order(dir, &LLFF_PHOTOGRAPHS, &file, cameras)
 }
 
-/// The views of these cameras, whose photographs are in the first of `folders` below `dir` that has any, in the order of their names. If no
-/// mask has the name of a photograph, masks belong to photographs in the order of their names.
+/// The views of these cameras, whose photographs are in the first of `folders` below `dir` that has
+/// any, in the order of their names. If no mask has the name of a photograph, masks belong to
+/// photographs in the order of their names.
 fn views_in_order(
     dir: &Path,
     folders: &[&str],
@@ -148,8 +153,8 @@ fn camera_of_row(row: &[f64]) -> Result<(Lens, Rigid), String> {
     Ok((lens, pose))
 }
 
-/// Lens and world_from_camera of a projection matrix K [R | t], which is given up to a factor. `Err` is a clause that follows
-/// "the matrix".
+/// Lens and world_from_camera of a projection matrix K [R | t], which is given up to a factor.
+/// `Err` is a clause that follows "the matrix".
 fn taken_apart(matrix: &Matrix) -> Result<(Lens, Rigid), String> {
     if !matches!((matrix.rows, matrix.columns), (3 | 4, 4)) {
         return Err(format!("is {}×{}, not 4×4", matrix.rows, matrix.columns));

@@ -27,9 +27,11 @@ const MARKS: [(Layout, &str); 7] = [
 fn yields(layout: Layout, dir: &Path, there: &[Layout]) -> bool {
     let has = |of: &[Layout]| of.iter().any(|other| there.contains(other));
     match layout {
-        // The scripts that render sets of NeRFactor write files of NeRF's form beside the folders, whose paths lack the light.
+        // The scripts that render sets of NeRFactor write files of NeRF's form beside the folders,
+        // whose paths lack the light.
         Layout::Nerf => has(&[Layout::StanfordOrb, Layout::Nerfactor]),
-        // The poses of public data of LLFF and mip-NeRF 360 are computed from the model, which has lens distortion as well.
+        // The poses of public data of LLFF and mip-NeRF 360 are computed from the model, which has
+        // lens distortion as well.
         Layout::Llff => has(&[Layout::Colmap]) && !colmap::is_for_the_record(dir),
         Layout::Colmap => has(&[Layout::Llff, Layout::Nerf, Layout::Idr]) && colmap::is_for_the_record(dir),
         _ => false,
@@ -42,7 +44,8 @@ impl Layout {
         if self == Self::Idr { 0.0 } else { 0.5 }
     }
 
-    /// Whether a folder has files of this split. Views that nothing divides are of the training split.
+    /// Whether a folder has files of this split. Views that nothing divides are of the training
+    /// split.
     fn has(self, dir: &Path, split: Split) -> bool {
         let is_train = split == Split::Train;
         let is_of_orb = |split| {
@@ -76,7 +79,8 @@ impl Layout {
         }
     }
 
-    /// Plans the views of a split, in natural order of their names; of data without a test split, those that `hold_out` gives it.
+    /// Plans the views of a split, in natural order of their names; of data without a test split,
+    /// those that `hold_out` gives it.
     pub(super) fn plan(self, dir: &Path, split: Split, hold_out: u32) -> Result<Plan> {
         let is_held_out = self.is_held_out(dir);
         let split_of_files = if is_held_out { Split::Train } else { split };
@@ -102,7 +106,8 @@ impl Layout {
             }
             let mut indices = 0..;
             views.retain(|_| is_test(indices.next().unwrap_or(0)) == (split == Split::Test));
-            // Notes about all views are reported once, with the training split, which always exists.
+            // Notes about all views are reported once, with the training split, which always
+            // exists.
             notes.retain(|_| split == Split::Train);
         }
         Ok(Plan { views, notes })
@@ -134,8 +139,8 @@ pub(super) fn in_scene_file(layout: Layout) -> String {
     format!("`layout: {layout:?}`")
 }
 
-/// The requested layout of the data set in folder `dir`, or for `Auto` the only one that is present. `choice` says how the user asks for a
-/// layout: it is the help for a folder of several.
+/// The requested layout of the data set in folder `dir`, or for `Auto` the only one that is
+/// present. `choice` says how the user asks for a layout: it is the help for a folder of several.
 ///
 /// # Errors
 /// [`Error::Input`] if there is no such folder, or for `Auto` not exactly one layout.
@@ -143,7 +148,8 @@ pub fn find_layout(dir: impl AsRef<Path>, asked: Layout, choice: fn(Layout) -> S
     find_with_note(dir.as_ref(), asked, choice).map(|(layout, _)| layout)
 }
 
-/// [`find_layout`], where the layout that is found yields to no other, with what the user should know of the choice.
+/// [`find_layout`], where the layout that is found yields to no other, with what the user should
+/// know of the choice.
 pub(super) fn find_with_note(
     dir: &Path,
     asked: Layout,
@@ -215,7 +221,8 @@ fn near_miss(dir: &Path) -> Option<String> {
     Some(format!("`lobelia prepare {} OUT` makes a data set of the film.", film.display()))
 }
 
-/// Help for cameras of Metashape or RealityCapture in a format of their own, and for their projects.
+/// Help for cameras of Metashape or RealityCapture in a format of their own, and for their
+/// projects.
 fn foreign(file: &Path) -> Option<String> {
     const HEAD_BYTES: usize = 4096;
     let head = if has_extension(file, &["xml", "csv"]) {

@@ -1,16 +1,18 @@
-//! Lenses of camera files: intrinsics, their conversion to a camera for an image of a known size, and lens distortion and its removal.
+//! Lenses of camera files: intrinsics, their conversion to a camera for an image of a known size,
+//! and lens distortion and its removal.
 //!
-//! A ray meets the plane at depth 1 in a point p. The lens shows it where a pinhole camera of the same focal lengths shows another
-//! point of that plane, in three steps:
+//! A ray meets the plane at depth 1 in a point p. The lens shows it where a pinhole camera of the
+//! same focal lengths shows another point of that plane, in three steps:
 //!
 //! 1. a fisheye lens shows the angle θ = atan ‖p‖ instead of its tangent;
 //! 2. a quotient of polynomials in the squared length scales the result;
 //! 3. tangential terms shift it.
 //!
-//! These are OpenCV's models (`calib3d`), and those of COLMAP (`sensor/models`) that photographs of usual lenses have.
+//! These are OpenCV's models (`calib3d`), and those of COLMAP (`sensor/models`) that photographs of
+//! usual lenses have.
 //!
-//! Photographs are undistorted by resampling them to a pinhole camera of the same focal lengths, over the largest upright rectangle that
-//! the photograph fills.
+//! Photographs are undistorted by resampling them to a pinhole camera of the same focal lengths,
+//! over the largest upright rectangle that the photograph fills.
 
 use crate::dataset::pose::check_matrix;
 use glam::{Affine3A, DMat2, DVec2};
@@ -18,7 +20,8 @@ use lobelia_geometry::view::raster::{Tap, bilinear};
 use lobelia_geometry::view::{Camera, Image, Mask};
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Range of focal lengths, as multiples of the larger side of the image: fields of view between 0.006° and 179°.
+/// Range of focal lengths, as multiples of the larger side of the image: fields of view between
+/// 0.006° and 179°.
 const FOCAL_RANGE: [f64; 2] = [0.005, 10_000.0];
 /// How far outside the image the principal point may be, and how large the skew, in image sizes.
 const FARTHEST_CENTER: f64 = 10.0;
@@ -31,7 +34,8 @@ const FOLD_SAMPLES: u32 = 24;
 const LEAST_DETERMINANT: f64 = 1e-6;
 /// Points of the plane farther out than this are as good as behind the camera (89.9°).
 const FARTHEST: f64 = 1e3;
-/// Fisheye polynomials are calibrated up to the rim of the image circle; beyond this angle in radians a fold is that rim.
+/// Fisheye polynomials are calibrated up to the rim of the image circle; beyond this angle in
+/// radians a fold is that rim.
 const RIM: f64 = 1.2;
 /// Samples along each edge of a picture that determine its bounds.
 const EDGE_SAMPLES: u32 = 64;
@@ -40,8 +44,9 @@ const BISECTIONS: u32 = 16;
 /// How far outside the photograph the rectangle may be sampled, in pixels; the border is continued.
 const OVERHANG: f64 = 1.0;
 
-/// COLMAP's camera models that are read: number, name, count of focal lengths, and OpenCV's names of the coefficients, in the order of
-/// COLMAP's `sensor/models`. Two numbers for the principal point are between them.
+/// COLMAP's camera models that are read: number, name, count of focal lengths, and OpenCV's names
+/// of the coefficients, in the order of COLMAP's `sensor/models`. Two numbers for the principal
+/// point are between them.
 pub(super) const MODELS: [(u32, &str, usize, &[&str]); 11] = [
     (0, "SIMPLE_PINHOLE", 1, &[]),
     (1, "PINHOLE", 2, &[]),
@@ -91,12 +96,14 @@ pub(super) struct Lens {
     pub skew: f64,
     /// Lens distortion; [`Lens::camera`] is the pinhole camera without it.
     pub distortion: Distortion,
-    /// Whether `size` is only the reference size of the numbers; an image of another size is then a scaled version.
+    /// Whether `size` is only the reference size of the numbers; an image of another size is then a
+    /// scaled version.
     pub resizable: bool,
 }
 
 impl Lens {
-    /// A lens without distortion, of focal lengths and principal point in pixels, for an image of any size.
+    /// A lens without distortion, of focal lengths and principal point in pixels, for an image of
+    /// any size.
     pub fn pinhole(focal: [f64; 2], center: [Option<f64>; 2]) -> Self {
         Self {
             size: None,
@@ -109,7 +116,8 @@ impl Lens {
         }
     }
 
-    /// From a row-major 4×4 calibration matrix K (up to scale) and the image size. `Err` is a clause that follows "K".
+    /// From a row-major 4×4 calibration matrix K (up to scale) and the image size. `Err` is a
+    /// clause that follows "K".
     pub fn from_matrix(k: &[f64], size: [u32; 2]) -> Result<Self, String> {
         check_matrix(k)?;
         if let Some(row) = [0, 1, 2].iter().find(|row| k[5 * **row] == 0.0) {
@@ -226,7 +234,8 @@ fn polynomial(coefficients: &[f64], x: f64) -> (f64, f64) {
     terms.fold((0.0, 0.0), |(value, slope), c| (value * x + c, slope * x + value))
 }
 
-/// A lens model without focal lengths and principal point. All coefficients are 0 in [`Distortion::NONE`].
+/// A lens model without focal lengths and principal point. All coefficients are 0 in
+/// [`Distortion::NONE`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Distortion {
     pub is_fisheye: bool,
@@ -253,7 +262,8 @@ impl Distortion {
         Self { is_fisheye, radial, divisor, tangential: ["p1", "p2"].map(coefficient) }
     }
 
-    /// The image point of the ray through `p`, relative to a pinhole camera; NaN where the lens has no image.
+    /// The image point of the ray through `p`, relative to a pinhole camera; NaN where the lens has
+    /// no image.
     pub fn distort(&self, p: DVec2) -> DVec2 {
         self.warp(self.project(p)).0
     }
@@ -339,12 +349,14 @@ pub(super) struct Straightening {
     bent: Camera,
     /// The pinhole camera of the undistorted photograph.
     pub camera: Camera,
-    /// Whether the photograph shows rays that the undistorted one leaves out because it would become too large, or infinite.
+    /// Whether the photograph shows rays that the undistorted one leaves out because it would
+    /// become too large, or infinite.
     pub is_cropped: bool,
 }
 
 impl Straightening {
-    /// The resampling for photographs of the camera `bent`. `Err` says what is wrong with the coefficients, as a clause.
+    /// The resampling for photographs of the camera `bent`. `Err` says what is wrong with the
+    /// coefficients, as a clause.
     pub fn new(distortion: Distortion, bent: &Camera) -> Result<Self, String> {
         let (bounds, is_cropped) = straight_bounds(&distortion, bent)?;
         let [x, y] = bounds;
@@ -375,7 +387,8 @@ impl Straightening {
         self.taps().map(|taps| taps.iter().any(|tap| tap.1 > 1e-3 && flags[tap.0])).collect()
     }
 
-    /// For each undistorted pixel, the distorted pixels that it is interpolated from, with their weights.
+    /// For each undistorted pixel, the distorted pixels that it is interpolated from, with their
+    /// weights.
     fn taps(&self) -> impl Iterator<Item = [Tap; 4]> + '_ {
         let (bent, straight) = (&self.bent, &self.camera);
         let pixels = (0..straight.height).flat_map(|y| (0..straight.width).map(move |x| (x, y)));
@@ -385,7 +398,8 @@ impl Straightening {
         })
     }
 
-    /// Where in the distorted photograph a place of the undistorted one is, in pixels; (0, 0) is the center of the first of either.
+    /// Where in the distorted photograph a place of the undistorted one is, in pixels; (0, 0) is
+    /// the center of the first of either.
     pub fn source(&self, at: DVec2) -> DVec2 {
         in_pixels(&self.bent, self.distortion.distort(on_plane(&self.camera, at.x, at.y)))
     }
@@ -427,9 +441,9 @@ fn edges(low: DVec2, high: DVec2) -> [impl Iterator<Item = DVec2>; 4] {
     })
 }
 
-/// First and last column, first and last row of the rectangle that the undistorted photograph fills, in pixels of the distorted
-/// one, and whether it leaves out what the photograph shows. It extends beyond the frame where the distortion moves edges inward,
-/// by at most half the size.
+/// First and last column, first and last row of the rectangle that the undistorted photograph
+/// fills, in pixels of the distorted one, and whether it leaves out what the photograph shows. It
+/// extends beyond the frame where the distortion moves edges inward, by at most half the size.
 fn straight_bounds(distortion: &Distortion, bent: &Camera) -> Result<([[i64; 2]; 2], bool), String> {
     let last = last_pixel(bent);
     let (mut low, mut high) = (DVec2::NEG_INFINITY, DVec2::INFINITY);
@@ -446,7 +460,8 @@ fn straight_bounds(distortion: &Distortion, bent: &Camera) -> Result<([[i64; 2];
                 Err(Unseen::Folded) => folded += 1,
             }
         }
-        // Few calibrations are good up to the corners of the image; the rectangle need not reach them.
+        // Few calibrations are good up to the corners of the image; the rectangle need not reach
+        // them.
         if 2 * folded > EDGE_SAMPLES {
             return Err(format!("the lens distortion ({distortion:?}) folds the image over"));
         }
@@ -535,7 +550,8 @@ mod tests {
             }
         }
 
-        /// Newton's steps are exact: the image of a shifted point differs by the derivative, to second order.
+        /// Newton's steps are exact: the image of a shifted point differs by the derivative, to
+        /// second order.
         #[test]
         fn images_move_as_the_derivative_says(x in -1.1f64..1.1, y in -1.1f64..1.1) {
             let (p, h) = (DVec2::new(x, y), 1e-5);
@@ -549,7 +565,8 @@ mod tests {
         }
     }
 
-    /// Values by the formulas of COLMAP's `sensor/models` and OpenCV's `calib3d`, written out term by term in another language.
+    /// Values by the formulas of COLMAP's `sensor/models` and OpenCV's `calib3d`, written out term
+    /// by term in another language.
     #[test]
     fn known_values() {
         let opencv = brown([-0.2, 0.05, -0.01], [0.003, -0.002]);
@@ -586,7 +603,8 @@ mod tests {
         let at = |lens: Distortion, r: f64| lens.undistort(DVec2::new(0.0, r));
         assert!((at(fisheye([0.0; 4]), 1.5).unwrap().y - 1.5f64.tan()).abs() < 1e-9);
         assert_eq!(at(fisheye([0.0; 4]), 1.58), Err(Unseen::Behind));
-        // The polynomial ends at 1.3 rad, as calibrations of image circles do; at 0.5 rad it is wrong.
+        // The polynomial ends at 1.3 rad, as calibrations of image circles do; at 0.5 rad it is
+        // wrong.
         for (end, unseen) in [(1.3, Unseen::Behind), (0.5, Unseen::Folded)] {
             assert_eq!(at(fisheye([-1.0 / (3.0 * end * end), 0.0, 0.0, 0.0]), 1.0), Err(unseen));
         }
@@ -605,7 +623,8 @@ mod tests {
         }
     }
 
-    /// Photographs a smooth picture over the image plane through a lens, straightens it, and compares with what the pinhole sees.
+    /// Photographs a smooth picture over the image plane through a lens, straightens it, and
+    /// compares with what the pinhole sees.
     fn straightened(lens: Distortion, bent: Camera) -> Straightening {
         let picture = |p: DVec2| (0.5 + 0.3 * (6.0 * p.x).sin() * (5.0 * p.y).cos()) as f32;
         let (width, height) = (bent.width, bent.height);

@@ -1,7 +1,8 @@
 //! Data sets: folders of posed photographs, read into [`ViewRecord`]s.
 //!
-//! The files in the folder determine the [`Layout`]; the manual describes each. Where a folder has two, Stanford-ORB goes before
-//! NeRF, and COLMAP before LLFF; a COLMAP model that is kept for the record yields to the cameras that were made of it.
+//! The files in the folder determine the [`Layout`]; the manual describes each. Where a folder has
+//! two, Stanford-ORB goes before NeRF, and COLMAP before LLFF; a COLMAP model that is kept for the
+//! record yields to the cameras that were made of it.
 
 pub mod colmap;
 pub mod files;
@@ -44,7 +45,8 @@ pub enum Layout {
     PhySg,
     /// NeRF's and Blender's: `transforms_{train,test}.json`; nerfstudio's: `transforms.json`.
     Nerf,
-    /// COLMAP's: `sparse/0`, `images` and `masks`; lists of the splits in `train_id.txt` and `test_id.txt`.
+    /// COLMAP's: `sparse/0`, `images` and `masks`; lists of the splits in `train_id.txt` and
+    /// `test_id.txt`.
     Colmap,
     /// IDR's, NeuS's and VolSDF's: `cameras_sphere.npz` or `cameras.npz`, `image` and `mask`.
     Idr,
@@ -52,7 +54,8 @@ pub enum Layout {
     Llff,
     /// Stanford-ORB's: `transforms_{train,test}.json` and `{train,test}_mask`.
     StanfordOrb,
-    /// NeRFactor's and TensoIR-Synthetic's: a folder for each view, `train_000`, with `metadata.json` and `rgba.png`.
+    /// NeRFactor's and TensoIR-Synthetic's: a folder for each view, `train_000`, with
+    /// `metadata.json` and `rgba.png`.
     Nerfactor,
 }
 
@@ -64,23 +67,26 @@ pub struct DatasetOptions {
     pub layout: Layout,
     /// Conversion of 8- and 16-bit values to linear.
     pub gamma: Gamma,
-    /// Offset of a pixel's center from its index, in pixels: that of the layout if `None`, which is 0 for IDR and 0.5 for all
-    /// others. Data for PhySG's own code needs 0.
+    /// Offset of a pixel's center from its index, in pixels: that of the layout if `None`, which is
+    /// 0 for IDR and 0.5 for all others. Data for PhySG's own code needs 0.
     pub pixel_center: Option<f32>,
-    /// Factor by which images and masks are downscaled along each axis, with a box filter; at least 1.
+    /// Factor by which images and masks are downscaled along each axis, with a box filter; at least
+    /// 1.
     pub downscale: u32,
     /// Only every n-th view is read, beginning with the first in natural name order; at least 1.
     pub every: u32,
-    /// Of data that brings no test split, whatever its layout, every n-th view by name, beginning with the first, belongs to the test
-    /// split; 0: none does.
+    /// Of data that brings no test split, whatever its layout, every n-th view by name, beginning
+    /// with the first, belongs to the test split; 0: none does.
     pub hold_out: u32,
     /// Names of the views to read (file stems); all if `None`. Applied before `every`.
     pub select: Option<Vec<String>>,
-    /// The data's up direction, for orbits and the like; nothing is rotated. Need not have unit length.
+    /// The data's up direction, for orbits and the like; nothing is rotated. Need not have unit
+    /// length.
     pub up: Vec3,
     /// Maps from elsewhere of the training photographs.
     pub priors: Priors,
-    /// Folder, or beginning of the names, of the photographs of each placement of the object; empty: there is one.
+    /// Folder, or beginning of the names, of the photographs of each placement of the object;
+    /// empty: there is one.
     pub placements: Vec<String>,
 }
 
@@ -137,11 +143,13 @@ pub type LoadedDataset = Views<ViewRecord>;
 /// A split whose views are known and not read.
 pub type OpenDataset = Views<PlannedView>;
 
-/// Opens a split of the data set in folder `dir`: reads camera files and looks for photographs and masks, but reads none of these.
+/// Opens a split of the data set in folder `dir`: reads camera files and looks for photographs and
+/// masks, but reads none of these.
 ///
 /// # Errors
-/// [`Error::Input`] that names file and place if the layout cannot be determined, the split is absent, or a camera file is
-/// unusable or names a file that is missing; [`Error::Usage`] if `options` are out of range or leave no view.
+/// [`Error::Input`] that names file and place if the layout cannot be determined, the split is
+/// absent, or a camera file is unusable or names a file that is missing; [`Error::Usage`] if
+/// `options` are out of range or leave no view.
 pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<OpenDataset> {
     let dir = dir.as_ref();
     options.check()?;
@@ -176,10 +184,12 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     Ok(OpenDataset { views, layout, notes })
 }
 
-/// Reads a split of the data set in folder `dir`: cameras, photographs and masks, in natural name order.
+/// Reads a split of the data set in folder `dir`: cameras, photographs and masks, in natural name
+/// order.
 ///
-/// Views are loaded in parallel; the result does not depend on the number of threads. A view's photograph is `None` if the
-/// data set has cameras only, its mask if there is neither a mask file nor alpha.
+/// Views are loaded in parallel; the result does not depend on the number of threads. A view's
+/// photograph is `None` if the data set has cameras only, its mask if there is neither a mask file
+/// nor alpha.
 ///
 /// # Errors
 /// The errors of [`open_dataset`], and [`Error::Input`] if an image or mask is unusable.
@@ -224,8 +234,8 @@ fn selected(views: Vec<ViewPlan>, options: &DatasetOptions) -> Result<Vec<ViewPl
     Ok(views.into_iter().filter(is_selected).step_by(options.every as usize).collect())
 }
 
-/// Positions are `f32`: for cameras that are thousands of times farther from the origin than from each other, rounding would be
-/// as large as a pixel.
+/// Positions are `f32`: for cameras that are thousands of times farther from the origin than from
+/// each other, rounding would be as large as a pixel.
 fn refuse_far_away(views: &[ViewPlan]) -> Result<()> {
     const FARTHEST: f32 = 4000.0;
     let positions = || views.iter().map(|view| view.pose.translation.as_vec3());
@@ -240,7 +250,8 @@ fn refuse_far_away(views: &[ViewPlan]) -> Result<()> {
         middle.length() / extent
     );
     let help = if middle.x.hypot(middle.y) <= 1e-3 * middle.z.abs() {
-        // Inverted poses of cameras that look at the origin have one place, in front of the camera's axes.
+        // Inverted poses of cameras that look at the origin have one place, in front of the
+        // camera's axes.
         "All are at one place on the z axis, as cameras that look at the origin are if camera_from_world is taken for \
          world_from_camera: invert each matrix."
             .to_owned()
@@ -263,7 +274,8 @@ fn rounding_note(views: &[ViewPlan]) -> Option<String> {
     ))
 }
 
-/// The first of these placements of which the photograph is in a folder with that name below `dir`, or has a name that begins so.
+/// The first of these placements of which the photograph is in a folder with that name below `dir`,
+/// or has a name that begins so.
 ///
 /// # Errors
 /// [`Error::Input`] that names the view if it belongs to none of `names`, though there are some.

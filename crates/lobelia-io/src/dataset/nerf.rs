@@ -1,8 +1,11 @@
-//! The layout of NeRF, Blender, nerfstudio, Polycam and instant-ngp, and of Stanford-ORB's `blender_HDR`, as the manual's chapter on layouts
-//! tells it: camera files `DIR/transforms_{train,test}.json`, or one `DIR/transforms.json` for all views, and the images they name.
+//! The layout of NeRF, Blender, nerfstudio, Polycam and instant-ngp, and of Stanford-ORB's
+//! `blender_HDR`, as the manual's chapter on layouts tells it: camera files
+//! `DIR/transforms_{train,test}.json`, or one `DIR/transforms.json` for all views, and the images
+//! they name.
 //!
-//! Each frame has a `transform_matrix` (4×4 or 3×4, world_from_camera with OpenGL axes: x right, y up, z backward), which is taken as it is:
-//! `applied_transform` is not undone. Intrinsics are at the top of the file or in a frame; those of the frame have priority.
+//! Each frame has a `transform_matrix` (4×4 or 3×4, world_from_camera with OpenGL axes: x right, y
+//! up, z backward), which is taken as it is: `applied_transform` is not undone. Intrinsics are at
+//! the top of the file or in a frame; those of the frame have priority.
 //!
 //! | fields | unit | meaning |
 //! | --- | --- | --- |
@@ -35,7 +38,8 @@ pub(super) fn camera_file(dir: &Path, split: Split) -> PathBuf {
     file_of(dir, split_word(dir, split))
 }
 
-/// The word for a split in names: `val` where the folder has a file of that for the test split, and none of `test`.
+/// The word for a split in names: `val` where the folder has a file of that for the test split, and
+/// none of `test`.
 fn split_word(dir: &Path, split: Split) -> &'static str {
     let is_val = split == Split::Test && !is_there(&file_of(dir, "test")) && is_there(&file_of(dir, "val"));
     if is_val { "val" } else { split_name(split) }
@@ -56,7 +60,8 @@ fn common_file(dir: &Path) -> Option<PathBuf> {
     Some(dir.join("transforms.json")).filter(|file| !is_split && is_there(file))
 }
 
-/// Whether the folder has this split: a file of it, or one file for all views, which has a test split if it lists one.
+/// Whether the folder has this split: a file of it, or one file for all views, which has a test
+/// split if it lists one.
 pub(super) fn has_split(dir: &Path, split: Split) -> bool {
     match (common_file(dir), split) {
         (None, _) => is_there(&camera_file(dir, split)),
@@ -66,7 +71,8 @@ pub(super) fn has_split(dir: &Path, split: Split) -> bool {
     }
 }
 
-/// The top of a camera file, or one of its frames. Both may have intrinsics; what only one of them has is absent from the other.
+/// The top of a camera file, or one of its frames. Both may have intrinsics; what only one of them
+/// has is absent from the other.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Level {
@@ -106,7 +112,8 @@ struct Level {
 }
 
 impl Level {
-    /// The list of the test split, which may be called validation, and its name; an empty list is none.
+    /// The list of the test split, which may be called validation, and its name; an empty list is
+    /// none.
     fn held_out(&self) -> Option<(&'static str, &Vec<String>)> {
         let lists = [("test_filenames", &self.test_filenames), ("val_filenames", &self.val_filenames)];
         let mut stated = lists.into_iter().filter_map(|(name, list)| Some((name, list.as_ref()?)));
@@ -139,8 +146,8 @@ impl Level {
     }
 }
 
-/// Plans the views of a split, with this folder of masks if no frame names one; those of one file without lists are all of the training
-/// split.
+/// Plans the views of a split, with this folder of masks if no frame names one; those of one file
+/// without lists are all of the training split.
 pub(super) fn plan(dir: &Path, split: Split, masks: Option<PathBuf>) -> Result<Plan> {
     let common = common_file(dir);
     let is_common = common.is_some();
@@ -249,7 +256,8 @@ fn check_paths(file: &Path, index: usize, frame: &Level) -> Result<()> {
     check_image_name(path, file, &place)
 }
 
-/// The folder that all images are in, below that of the camera file, if they are in several folders.
+/// The folder that all images are in, below that of the camera file, if they are in several
+/// folders.
 fn common_folder(frames: &[Level]) -> Option<&Path> {
     let paths = || frames.iter().filter_map(|frame| Path::new(frame.file_path.as_deref()?).parent());
     let first = paths().next()?;
@@ -259,8 +267,9 @@ fn common_folder(frames: &[Level]) -> Option<&Path> {
     first.ancestors().find(|above| paths().all(|folder| folder.starts_with(above)))
 }
 
-/// The search for the images of all frames. Where none is where the file says, since that was written on another machine or in another
-/// folder, they are looked for below `DIR/images` and below `DIR`, without the folders above them.
+/// The search for the images of all frames. Where none is where the file says, since that was
+/// written on another machine or in another folder, they are looked for below `DIR/images` and
+/// below `DIR`, without the folders above them.
 struct Search<'a> {
     dir: &'a Path,
     file: &'a Path,
@@ -269,7 +278,8 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// The image of every frame, and a note on all: none, if the data set has cameras only, or else all that are named.
+    /// The image of every frame, and a note on all: none, if the data set has cameras only, or else
+    /// all that are named.
     fn images(&mut self) -> Result<(Vec<Option<PathBuf>>, Option<String>)> {
         let (dir, file) = (self.dir, file_name(self.file));
         let paths: Vec<Option<&str>> = self.frames.iter().map(|frame| frame.file_path.as_deref()).collect();
@@ -302,7 +312,8 @@ impl Search<'_> {
         Ok((files, Some(note)))
     }
 
-    /// The image with this path below `folder` of the data set, or below that itself, with or without the folders above it.
+    /// The image with this path below `folder` of the data set, or below that itself, with or
+    /// without the folders above it.
     fn elsewhere(&mut self, folder: &str, path: &str) -> Option<PathBuf> {
         let inside = tails(path).filter(|tail| !leads_away(tail));
         let mut candidates = inside.flat_map(|tail| [format!("{folder}/{tail}"), tail.to_owned()]);
@@ -328,7 +339,8 @@ impl Search<'_> {
         }))
     }
 
-    /// Refuses a folder with images of which none is named, where images are named: first of all this one.
+    /// Refuses a folder with images of which none is named, where images are named: first of all
+    /// this one.
     fn refuse_other_images(&self, path: &str) -> Result<()> {
         let folders = || ["images", ""].iter().map(|folder| self.dir.join(folder));
         let stem = view_name(path);
@@ -383,8 +395,8 @@ impl Levels<'_> {
         value(self.own).or_else(|| value(self.shared))
     }
 
-    /// Focal length along one axis, of that in pixels, in radians and in degrees: the frame's value has priority over the shared one, and
-    /// pixels over angles.
+    /// Focal length along one axis, of that in pixels, in radians and in degrees: the frame's value
+    /// has priority over the shared one, and pixels over angles.
     fn focal(&self, of: fn(&Level) -> [Option<f64>; 3]) -> Option<Focal> {
         self.either(|level| {
             let [pixels, radians, degrees] = of(level);

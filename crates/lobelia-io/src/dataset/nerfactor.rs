@@ -1,6 +1,8 @@
-//! The layout of NeRFactor and of TensoIR-Synthetic, as the manual's chapter on layouts tells it: a folder for each view, with its camera in
-//! `metadata.json` and its pictures under one or several lights beside it. `cam_transform_mat` is the rows of world_from_camera, with OpenGL
-//! axes (x right, y up, z backward); `cam_angle_x` the full horizontal field of view in radians; `imw` and `imh` are pixels.
+//! The layout of NeRFactor and of TensoIR-Synthetic, as the manual's chapter on layouts tells it: a
+//! folder for each view, with its camera in `metadata.json` and its pictures under one or several
+//! lights beside it. `cam_transform_mat` is the rows of world_from_camera, with OpenGL axes (x
+//! right, y up, z backward); `cam_angle_x` the full horizontal field of view in radians; `imw` and
+//! `imh` are pixels.
 
 use crate::codec::file::is_there;
 use crate::dataset::files::{entries, file_name, quoted, read_json};

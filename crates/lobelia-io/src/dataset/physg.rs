@@ -1,5 +1,6 @@
-//! PhySG's layout, as the manual's chapter on layouts tells it: `DIR/{train,test}/image`, `mask`, and `cam_dict_norm.json`, which maps each
-//! image's file name to `K` and `W2C` (16 numbers each, row-major 4×4, camera_from_world with OpenCV axes) and `img_size`.
+//! PhySG's layout, as the manual's chapter on layouts tells it: `DIR/{train,test}/image`, `mask`,
+//! and `cam_dict_norm.json`, which maps each image's file name to `K` and `W2C` (16 numbers each,
+//! row-major 4×4, camera_from_world with OpenCV axes) and `img_size`.
 
 use crate::codec::file::is_there;
 use crate::dataset::files::{Folders, check_image_name, mask_folder, quoted, read_json, view_name};

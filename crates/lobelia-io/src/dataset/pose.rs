@@ -2,8 +2,8 @@
 
 use glam::{Affine3A, DMat3, DVec3};
 
-/// How far RᵀR may be from the identity, in any entry, before a matrix counts as not rigid: numbers with 3 decimals are as far off, and some
-/// with 2.
+/// How far RᵀR may be from the identity, in any entry, before a matrix counts as not rigid: numbers
+/// with 3 decimals are as far off, and some with 2.
 const RIGID_TOLERANCE: f64 = 5e-3;
 /// How far it may be before the user is told of it.
 pub(super) const PRECISE: f64 = 1e-3;
@@ -25,8 +25,8 @@ impl Rigid {
         Self { rotation, translation, error: 0.0 }
     }
 
-    /// From a row-major 4×4 matrix. A rotation with an error below 5e-3 is replaced by the nearest exact one.
-    /// `Err` is a clause that follows the name of the matrix: "is singular".
+    /// From a row-major 4×4 matrix. A rotation with an error below 5e-3 is replaced by the nearest
+    /// exact one. `Err` is a clause that follows the name of the matrix: "is singular".
     pub fn from_rows(rows: &[f64]) -> Result<Self, String> {
         check_matrix(rows)?;
         if rows[12..] != [0.0, 0.0, 0.0, 1.0] {

@@ -5,8 +5,9 @@
 //! | [`AlbedoPrior`] | pictures called as the photographs | diffuse albedo, by its `gamma`; a factor on all of a picture does not matter |
 //! | [`NormalPrior`] | pictures called as the photographs | unit normals in its `axes`, in integer formats as (n + 1)/2 without a curve |
 //!
-//! A map may have another size than its photograph, in the same shape: it is looked up between its pixels, through the photograph's lens as
-//! that is straightened. A pixel without coverage (alpha below one half), and a normal that is none, say nothing.
+//! A map may have another size than its photograph, in the same shape: it is looked up between its
+//! pixels, through the photograph's lens as that is straightened. A pixel without coverage (alpha
+//! below one half), and a normal that is none, say nothing.
 
 use crate::codec::file::FileUse;
 use crate::codec::image::{Gamma, LoadedImage, Orientation, image_header, read_image};
@@ -35,12 +36,14 @@ pub struct Priors {
     pub normals: Option<NormalPrior>,
 }
 
-/// Albedo of the training photographs, such as a network estimates: where the fit of light and albedo begins, and the mean color that it keeps to
-/// unless `scale` is `WhiteLight`, `MeanAlbedo` or `Free`. It pays only if the maps are right: see the manual's chapter on photographs.
+/// Albedo of the training photographs, such as a network estimates: where the fit of light and
+/// albedo begins, and the mean color that it keeps to unless `scale` is `WhiteLight`, `MeanAlbedo`
+/// or `Free`. It pays only if the maps are right: see the manual's chapter on photographs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AlbedoPrior {
-    /// The folder; must exist. A map is called as its photograph, with any image extension; photographs may be without.
+    /// The folder; must exist. A map is called as its photograph, with any image extension;
+    /// photographs may be without.
     pub folder: PathBuf,
     /// How 8- and 16-bit maps are decoded (EXR and HDR are linear). Default `Srgb`.
     #[serde(default)]
@@ -51,12 +54,14 @@ pub struct AlbedoPrior {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NormalPrior {
-    /// The folder; must exist. A map is called as its photograph, with any image extension; photographs may be without.
+    /// The folder; must exist. A map is called as its photograph, with any image extension;
+    /// photographs may be without.
     pub folder: PathBuf,
     /// The axes that the normals are in. Default `Camera`.
     #[serde(default)]
     pub axes: NormalAxes,
-    /// Weight ≥ 0, relative to the image loss, with which a surface that moves is held to the maps. Default 0.05.
+    /// Weight ≥ 0, relative to the image loss, with which a surface that moves is held to the maps.
+    /// Default 0.05.
     #[serde(default = "normal_weight")]
     pub weight: f32,
 }
@@ -68,7 +73,8 @@ fn normal_weight() -> f32 {
 /// The axes of stored normals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum NormalAxes {
-    /// The camera's, as most estimators write them: x right, y up, z from the surface toward the camera.
+    /// The camera's, as most estimators write them: x right, y up, z from the surface toward the
+    /// camera.
     #[default]
     Camera,
     /// The world's, those of the cameras' poses.
@@ -106,7 +112,8 @@ impl PriorFiles {
     }
 }
 
-/// The maps of each of the views with these names, if the split is that of the training; adds notes on photographs without.
+/// The maps of each of the views with these names, if the split is that of the training; adds notes
+/// on photographs without.
 ///
 /// # Errors
 /// [`Error::Input`] if a folder has no map of any of them.
@@ -157,7 +164,8 @@ pub(super) struct MapLookup<'a> {
 }
 
 impl MapLookup<'_> {
-    /// Reads a map, and makes of each value that is known what `value` says. What is unknown is zero.
+    /// Reads a map, and makes of each value that is known what `value` says. What is unknown is
+    /// zero.
     fn read(&self, path: &Path, gamma: Gamma, value: impl Fn(Vec3) -> Vec3) -> Result<Image> {
         let loaded = read_image(path, gamma, Orientation::AsStored)?;
         self.check_shape(path, &loaded.image)?;
@@ -193,7 +201,8 @@ impl MapLookup<'_> {
         Ok(normals)
     }
 
-    /// The mean of the covered pixels around the place of a pixel of the view; `None` where there is nothing.
+    /// The mean of the covered pixels around the place of a pixel of the view; `None` where there
+    /// is nothing.
     fn value(&self, map: &LoadedImage, x: u32, y: u32) -> Option<Vec3> {
         let scale = f64::from(self.downscale);
         let middle = |at: u32| (f64::from(at) + 0.5) * scale - 0.5;

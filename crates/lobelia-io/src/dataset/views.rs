@@ -1,4 +1,5 @@
-//! Views of a split: their files as a layout describes them, and reading photograph, mask and prior maps.
+//! Views of a split: their files as a layout describes them, and reading photograph, mask and prior
+//! maps.
 
 use crate::codec::file::FileUse;
 use crate::codec::image::{
@@ -84,7 +85,8 @@ impl ViewPlan {
     }
 }
 
-/// The problem if the EXIF orientation of a view's image explains why `other`, of size `whose`, has not its size.
+/// The problem if the EXIF orientation of a view's image explains why `other`, of size `whose`, has
+/// not its size.
 fn turned(header: Option<&ImageHeader>, other: &str, whose: [u32; 2]) -> Option<String> {
     let header = header?;
     let ([width, height], [w, h]) = (header.size(Orientation::AsStored), whose);
@@ -128,7 +130,8 @@ pub struct LoadedView {
     pub repairs: Repairs,
     /// Whether the background outside the mask is made black.
     pub blackened: bool,
-    /// The field of view in degrees that is left by undistortion, if it leaves out what the photograph shows.
+    /// The field of view in degrees that is left by undistortion, if it leaves out what the
+    /// photograph shows.
     pub cropped: Option<[f64; 2]>,
 }
 
@@ -145,7 +148,8 @@ impl PlannedView {
         photograph.chain(mask).chain(self.priors.uses())
     }
 
-    /// Reads photograph and mask: first what their headers say, so that no pixel is decoded of files that do not fit.
+    /// Reads photograph and mask: first what their headers say, so that no pixel is decoded of
+    /// files that do not fit.
     ///
     /// # Errors
     /// [`Error::Input`] that names file and place if photograph, mask or camera is unusable.
@@ -290,10 +294,11 @@ impl Picture {
         })
     }
 
-    /// Makes the picture black where its mask is empty, so that it is on black like all others; returns whether anything changed.
+    /// Makes the picture black where its mask is empty, so that it is on black like all others;
+    /// returns whether anything changed.
     ///
-    /// A picture with alpha is on black already. A float image is often a rendering on black, whose light at the rim reaches beyond a
-    /// mask of 8 bits; that is left as it is.
+    /// A picture with alpha is on black already. A float image is often a rendering on black, whose
+    /// light at the rim reaches beyond a mask of 8 bits; that is left as it is.
     fn blacken(&mut self, mask: &Mask) -> bool {
         const RIM_SHARE: f32 = 0.05;
         match self {
@@ -319,7 +324,8 @@ impl Picture {
         }
     }
 
-    /// The photograph as it is kept: cropped to its mask, and rounded to half floats if its pixels are means anyway.
+    /// The photograph as it is kept: cropped to its mask, and rounded to half floats if its pixels
+    /// are means anyway.
     fn keep(
         self,
         camera: &Camera,

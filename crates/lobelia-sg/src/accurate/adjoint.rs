@@ -1,5 +1,6 @@
-//! One point × one lobe: the adjoint of its integrals, with the specular nodes and weights held fixed. The integrand is that of PhySG supp.
-//! eqs. 1–7, or has GGX in place of eq. 4; F (eq. 6) enters through `constant` and `slope`, the parts of degree 0 and 1 in the specular albedo.
+//! One point × one lobe: the adjoint of its integrals, with the specular nodes and weights held
+//! fixed. The integrand is that of PhySG supp. eqs. 1–7, or has GGX in place of eq. 4; F (eq. 6)
+//! enters through `constant` and `slope`, the parts of degree 0 and 1 in the specular albedo.
 
 use super::diffuse::cosine_integral;
 use super::narrow::{MOST_SGS, is_narrow, parts};
@@ -11,7 +12,8 @@ use super::specular::{Node, PointTermsView, node};
 use crate::real::{Real, Vec3Of, add, dot, scale};
 use crate::sg::Dual;
 
-/// Evaluates a pair again and propagates the adjoints of its `diffuse`, `constant` and `slope` back to its inputs.
+/// Evaluates a pair again and propagates the adjoints of its `diffuse`, `constant` and `slope` back
+/// to its inputs.
 #[inline(always)]
 pub fn pull_back_pair<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
     point: &PointTerms<F, NDF>,
@@ -44,9 +46,11 @@ pub fn pull_back_diffuse<F: Real, const NDF: usize>(
     PairAdjoint { axis: scale(point.frame[2], tilt), sharpness: adjoint * diffuse.by_sharpness, point: sums }
 }
 
-/// The specular part of [`pull_back_pair`], given the integral of the diffuse part: `[constant, slope]` and the adjoints.
+/// The specular part of [`pull_back_pair`], given the integral of the diffuse part:
+/// `[constant, slope]` and the adjoints.
 ///
-/// Nodes and weights are held fixed in world space (see the module's documentation), but for smooth lobes.
+/// Nodes and weights are held fixed in world space (see the module's documentation), but for smooth
+/// lobes.
 #[inline(always)]
 pub fn pull_back_specular<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
     point: &PointTerms<F, NDF>,
@@ -129,7 +133,8 @@ struct PartSums<F> {
     drop: F,
 }
 
-/// Adds the nodes of one placement to the sums over all of them; each is `weights` times with the Fresnel power and without it.
+/// Adds the nodes of one placement to the sums over all of them; each is `weights` times with the
+/// Fresnel power and without it.
 #[inline(always)]
 fn add_nodes<F: Real, const ALONG: usize, const ACROSS: usize, const TAIL: Tail>(
     sums: &mut NodeSums<F>,

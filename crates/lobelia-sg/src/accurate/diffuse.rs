@@ -1,10 +1,12 @@
-//! The integral of an SG times the clamped cosine, in closed form, and the complementary error function it needs.
+//! The integral of an SG times the clamped cosine, in closed form, and the complementary error
+//! function it needs.
 
 use crate::real::{Real, polynomial};
 use crate::sg::Dual;
 use std::f64::consts::PI;
 
-/// e^(x²)·erfc(x) for x ≥ 0: s·P((1 − px)/(1 + px)) with s = 1/(1 + px), p = 0.36; relative error below 6e-8 (1e-6 in `f32`).
+/// e^(x²)·erfc(x) for x ≥ 0: s·P((1 − px)/(1 + px)) with s = 1/(1 + px), p = 0.36; relative error
+/// below 6e-8 (1e-6 in `f32`).
 const SCALED_ERFC: [f64; 10] = [
     0.383841213067,
     0.306753512712,
@@ -38,7 +40,8 @@ pub(super) fn fading_exp<F: Real>(x: F) -> F {
 /// A function of the sharpness and its derivative.
 type WithDerivative<F> = (F, F);
 
-/// Tokuyoshi's t(λ) = λ√(½N/D), which controls the interpolation between the two extreme orientations.
+/// Tokuyoshi's t(λ) = λ√(½N/D), which controls the interpolation between the two extreme
+/// orientations.
 #[inline(always)]
 fn steepness<F: Real>(l: F) -> WithDerivative<F> {
     let n = l.plus(2.736_083_16).mul_add(l, l.lit(17.021_297_8));
@@ -52,7 +55,8 @@ fn steepness<F: Real>(l: F) -> WithDerivative<F> {
     (l * root, root + (l * ratio_prime).times(0.5) * root.inverse())
 }
 
-/// The integral over 2π for an axis along the normal, (1 − g)/λ, and against it, e(g − e)/λ, with e = e^(−λ), g = (1 − e)/λ.
+/// The integral over 2π for an axis along the normal, (1 − g)/λ, and against it, e(g − e)/λ, with e
+/// = e^(−λ), g = (1 − e)/λ.
 #[inline(always)]
 fn extremes<F: Real>(l: F) -> (WithDerivative<F>, WithDerivative<F>) {
     let bound = l.lit(0.5);
@@ -77,8 +81,9 @@ fn extremes<F: Real>(l: F) -> (WithDerivative<F>, WithDerivative<F>) {
     ((up, up_prime), (e * q, e * (q_prime - q)))
 }
 
-/// The terms of the diffuse integral that depend on a lobe's sharpness only: t(λ), the integrals over 2π for an axis along the normal and
-/// against it, each with its derivative; e^(−t²), and e^(−t²) times the scaled complementary error function of t.
+/// The terms of the diffuse integral that depend on a lobe's sharpness only: t(λ), the integrals
+/// over 2π for an axis along the normal and against it, each with its derivative; e^(−t²), and
+/// e^(−t²) times the scaled complementary error function of t.
 pub type SharpnessTerms<F> = [F; 8];
 
 /// [`SharpnessTerms`] for λ ≥ 0.
@@ -92,9 +97,9 @@ pub fn sharpness_terms<F: Real>(sharpness: F) -> SharpnessTerms<F> {
 
 /// ∫ exp(λ(ω·ξ − 1)) max(n·ω, 0) dω for λ ≥ 0 and c = ξ·n, with its two derivatives.
 ///
-/// Tokuyoshi, Ikeda, Kulkarni and Harada, "Hierarchical Light Sampling with Accurate Spherical Gaussian Lighting" (2024).
-/// Relative error of the formula about 0.1 % where the lobe is well above the horizon; it grows in the tail of a sharp lobe below it.
-/// Always in [0, π].
+/// Tokuyoshi, Ikeda, Kulkarni and Harada, "Hierarchical Light Sampling with Accurate Spherical
+/// Gaussian Lighting" (2024). Relative error of the formula about 0.1 % where the lobe is well
+/// above the horizon; it grows in the tail of a sharp lobe below it. Always in [0, π].
 #[inline(always)]
 pub fn cosine_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
     prepared_cosine_integral(&sharpness_terms(sharpness), c)

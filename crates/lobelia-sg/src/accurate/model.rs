@@ -19,13 +19,15 @@ use crate::real::{Real, Vec3Of, add, dot};
 use crate::sg::{Dual, Shape};
 use crate::{model, two::Two};
 
-/// The accurate integrals with `ALONG` × `ACROSS` nodes for the specular part (2 to 4, 1 to 3) of each of the SGs of an
-/// NDF. `NDF` is 1 for one SG; for several, one more than there are, for the distribution itself.
+/// The accurate integrals with `ALONG` × `ACROSS` nodes for the specular part (2 to 4, 1 to 3) of
+/// each of the SGs of an NDF. `NDF` is 1 for one SG; for several, one more than there are, for the
+/// distribution itself.
 ///
-/// Specular parts of negligible pairs are left out. By half-vector geometry ∠(ω, r) ≤ 2∠(h, n), so |ω − r| ≤ 2|X| and the NDF
-/// e^(−L|X|²/2) is below an SG of sharpness L/4 around the mirror direction r; its product with the light's SG is at most
-/// e^(−aλ/(a + λ)·(1 − r·ξ)) with a = L/4. The broadest of several SGs bounds all of them. Independently, the specular light is at most
-/// the irradiance times the BRDF's largest value.
+/// Specular parts of negligible pairs are left out. By half-vector geometry ∠(ω, r) ≤ 2∠(h, n), so
+/// |ω − r| ≤ 2|X| and the NDF e^(−L|X|²/2) is below an SG of sharpness L/4 around the mirror
+/// direction r; its product with the light's SG is at most e^(−aλ/(a + λ)·(1 − r·ξ)) with a = L/4.
+/// The broadest of several SGs bounds all of them. Independently, the specular light is at most the
+/// irradiance times the BRDF's largest value.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Accurate<D, const NDF: usize, const ALONG: usize, const ACROSS: usize>(D);
 

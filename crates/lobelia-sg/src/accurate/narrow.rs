@@ -1,9 +1,11 @@
-//! Lobes that are narrow against GGX: where its tail or its peak varies little over a lobe, one set of nodes reads GGX itself, which is
-//! three times as fast as a set for each of three SGs, and has no error of their fit.
+//! Lobes that are narrow against GGX: where its tail or its peak varies little over a lobe, one set
+//! of nodes reads GGX itself, which is three times as fast as a set for each of three SGs, and has
+//! no error of their fit.
 //!
-//! In the chart of half vectors the light's curvature is 4λ(v·h)² = 2λ(1 + v·ξ) at the half vector of its axis, and GGX varies
-//! over √(1/β + |X|²), with 4|X|² ≥ |ξ − r|² for the mirror direction r. The lobe is narrow if it has at least [`NARROWNESS`] times the
-//! curvature 4/(1/β + |X|²) of GGX, the latter not taken to be below 4β/[`FLATTEST`].
+//! In the chart of half vectors the light's curvature is 4λ(v·h)² = 2λ(1 + v·ξ) at the half vector
+//! of its axis, and GGX varies over √(1/β + |X|²), with 4|X|² ≥ |ξ − r|² for the mirror direction
+//! r. The lobe is narrow if it has at least [`NARROWNESS`] times the curvature 4/(1/β + |X|²) of
+//! GGX, the latter not taken to be below 4β/[`FLATTEST`].
 
 use super::placement::{GGX, Tail};
 use super::{ggx::GGX_LOBES, point::PointTerms};
@@ -12,13 +14,15 @@ use std::ops::Range;
 
 /// Least ratio of curvatures.
 const NARROWNESS: f64 = 2.0;
-/// Most that the tail's flatness counts: beyond, a light's own tail at the peak of GGX would be missed.
+/// Most that the tail's flatness counts: beyond, a light's own tail at the peak of GGX would be
+/// missed.
 const FLATTEST: f64 = 32.0;
 
 /// Most SGs of a distribution of normals: three for GGX.
 pub(super) const MOST_SGS: usize = GGX_LOBES;
 
-/// The distributions of a point that one rule reads: of several, the last is GGX, and those before it are its SGs.
+/// The distributions of a point that one rule reads: of several, the last is GGX, and those before
+/// it are its SGs.
 #[inline(always)]
 pub(super) const fn parts<const NDF: usize, const TAIL: Tail>() -> Range<usize> {
     match (NDF, TAIL) {
@@ -28,7 +32,8 @@ pub(super) const fn parts<const NDF: usize, const TAIL: Tail>() -> Range<usize> 
     }
 }
 
-/// Ratio of curvatures relative to what it must be at least, and (1 + u)², by which GGX at the lobe's axis is below its peak.
+/// Ratio of curvatures relative to what it must be at least, and (1 + u)², by which GGX at the
+/// lobe's axis is below its peak.
 #[inline(always)]
 pub(super) fn narrowness<F: Real, const NDF: usize>(
     point: &PointTerms<F, NDF>,

@@ -24,7 +24,8 @@ pub struct Pair<F> {
     pub slope: F,
 }
 
-/// Evaluates one point × lobe with `ALONG` × `ACROSS` nodes (2 to 4 along the clipped direction, 1 to 3 across).
+/// Evaluates one point × lobe with `ALONG` × `ACROSS` nodes (2 to 4 along the clipped direction, 1
+/// to 3 across).
 #[inline(always)]
 pub fn evaluate_pair<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
     point: &PointTerms<F, NDF>,

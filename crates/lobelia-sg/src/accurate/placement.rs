@@ -1,26 +1,31 @@
-//! Where the nodes of the specular integral lie: around the peak of the product of one light SG and one SG of half vectors, in the chart
-//! of `accurate/specular.rs`.
+//! Where the nodes of the specular integral lie: around the peak of the product of one light SG and
+//! one SG of half vectors, in the chart of `accurate/specular.rs`.
 //!
-//! 1. Initialization between the half vector of the light's axis and the peak of the NDF, weighted by their curvatures.
-//! 2. One Gauss–Newton step: the light's exponent −λ|ω − ξ|²/2 is a sum of squares, so its Hessian is positive without
-//!    a lower bound; ln(v·h) and the curvature of n·ω are added to it, and n·ω itself stays a separate linear factor.
-//! 3. Along the direction in which n·ω changes, the rest is a Gaussian clipped by the horizon: nodes from [`Clipped`]. Across it:
-//!    Gauss–Hermite.
+//! 1. Initialization between the half vector of the light's axis and the peak of the NDF, weighted
+//!    by their curvatures.
+//! 2. One Gauss–Newton step: the light's exponent −λ|ω − ξ|²/2 is a sum of squares, so its Hessian
+//!    is positive without a lower bound; ln(v·h) and the curvature of n·ω are added to it, and n·ω
+//!    itself stays a separate linear factor.
+//! 3. Along the direction in which n·ω changes, the rest is a Gaussian clipped by the horizon:
+//!    nodes from [`Clipped`]. Across it: Gauss–Hermite.
 
 use super::point::{NdfTerms, PointTerms};
 use super::rule::Clipped;
 use crate::real::{Real, Vec3Of};
 use crate::{sg::Shape, two::Two};
 
-/// Two reals: a point or a vector of the chart, or the parts of a direction along tangent and normal.
+/// Two reals: a point or a vector of the chart, or the parts of a direction along tangent and
+/// normal.
 pub(super) type Vec2Of<F> = [F; 2];
 
-/// Lower bound of n·ω and v·h in the Hessian, which keeps their logarithms bounded near the horizon.
+/// Lower bound of n·ω and v·h in the Hessian, which keeps their logarithms bounded near the
+/// horizon.
 const COSINE_FLOOR: f64 = 0.05;
 const HALF_FLOOR: f64 = 1e-3;
 /// For a light below the horizon the initial point lies at least 1/(λ + 1/LIFT) above it.
 const LIFT: f64 = 0.3;
-/// Largest |X|² at which the integrand is expanded; the horizon lies within |X|² < 2, the chart ends at 4.
+/// Largest |X|² at which the integrand is expanded; the horizon lies within |X|² < 2, the chart
+/// ends at 4.
 const CHART_LIMIT: f64 = 3.0;
 
 /// A light lobe in a point's frame.
@@ -143,7 +148,8 @@ fn view_half_gradient<F: Real>(view: Vec2Of<F>, x: Vec2Of<F>, q: F, quarter: F) 
     [view[0].mul_add(q, -(pull * x[0])), -(pull * x[1])]
 }
 
-/// Initialization of the peak: the half vector of the light and the peak of the NDF, weighted by their curvatures.
+/// Initialization of the peak: the half vector of the light and the peak of the NDF, weighted by
+/// their curvatures.
 #[inline(always)]
 fn start<F: Real, const TAIL: Tail>(
     point_view: Vec2Of<F>,
@@ -193,7 +199,8 @@ fn sine2_of<F: Real>(radius2: F) -> F {
     radius2 * radius2.mul_add(radius2.lit(-0.25), radius2.one())
 }
 
-/// The NDF pulls toward the normal with Λx, and has the curvature ΛI − h·xxᵀ: Λ and h, which is Λ²/2 + L/(1 + u) for GGX.
+/// The NDF pulls toward the normal with Λx, and has the curvature ΛI − h·xxᵀ: Λ and h, which is
+/// Λ²/2 + L/(1 + u) for GGX.
 #[inline(always)]
 fn pull_of_ndf<F: Real, const TAIL: Tail>(ndf: &NdfTerms<F>, radius2: F, up: F) -> (F, F) {
     if TAIL == SG {
@@ -271,8 +278,9 @@ impl<F: Real> Cosines<F> {
     }
 }
 
-/// The negative Hessian of the logarithm of the integrand, given λ and the two of [`pull_of_ndf`]: of the light, its metric
-/// 4(∇(v·h)∇(v·h)ᵀ + (v·h)²·g) with the chart's g = q²I + (1 + q²)/(4q²)·XXᵀ; and −∇² of ln(v·h), ln(n·ω).
+/// The negative Hessian of the logarithm of the integrand, given λ and the two of [`pull_of_ndf`]:
+/// of the light, its metric 4(∇(v·h)∇(v·h)ᵀ + (v·h)²·g) with the chart's g = q²I + (1 +
+/// q²)/(4q²)·XXᵀ; and −∇² of ln(v·h), ln(n·ω).
 #[inline(always)]
 fn hessian<F: Real, const TAIL: Tail>(
     l: F,
@@ -291,7 +299,8 @@ fn hessian<F: Real, const TAIL: Tail>(
         let most = isotropic.times(0.2) * radius2.max(l.lit(1e-6)).inverse();
         rounding = rounding - hollow.min(most);
     }
-    // The curvature of n·ω is indefinite, by up to |g − x|²/4 of its factor; it is limited so that a quarter of the isotropic part remains.
+    // The curvature of n·ω is indefinite, by up to |g − x|²/4 of its factor; it is limited so that
+    // a quarter of the isotropic part remains.
     let apart = [view_gradient[0] - x[0], view_gradient[1] - x[1]];
     let most = isotropic.times(3.0) * dot2(apart, apart).max(l.lit(1e-6)).inverse();
     let mixed = cosine.select_lt(floored, l.zero(), over_cosine).min(most);
@@ -320,7 +329,8 @@ pub(super) fn place<F: Real, const TAIL: Tail>(
     let hessian = hessian::<F, TAIL>(light.sharpness, &at, &cosines, pulls, hollow);
     let zero = x[0].zero();
     let mut g = combine(at.up.times(2.0), view_gradient, -(view_half.times(2.0)), x);
-    // At the pole of n·ω any direction is valid; the step keeps the sign of g, which it would otherwise cancel.
+    // At the pole of n·ω any direction is valid; the step keeps the sign of g, which it would
+    // otherwise cancel.
     let apart = g[0].select_lt(zero, zero.lit(-1e-4), zero.lit(1e-4));
     g[0] += dot2(g, g).select_lt(zero.lit(1e-8), apart, zero);
     let inverse = hessian.inverse_determinant();

@@ -1,4 +1,5 @@
-//! The terms of a surface point and its specular lobe that the integral of every light lobe reads, and the last part of the adjoint of a point.
+//! The terms of a surface point and its specular lobe that the integral of every light lobe reads,
+//! and the last part of the adjoint of a point.
 
 use crate::brdf::{Facets, Ndf, ndf_sharpness, shadowing_k};
 use crate::real::{Real, Vec3Of, add, dot, scale, sub};
@@ -65,7 +66,8 @@ fn frame_towards<F: Real>(normal: Vec3Of<F>, to_viewer: Vec3Of<F>) -> [Vec3Of<F>
     let other = reject(normal, [steep, one - steep, zero]);
     let along = reject(normal, to_viewer);
     let square = dot(along, along);
-    // For a view along the normal any tangent is valid. The rejection is applied twice, because a short one is not exactly perpendicular.
+    // For a view along the normal any tangent is valid. The rejection is applied twice, because a
+    // short one is not exactly perpendicular.
     let bound = one.times(1e-8);
     let tangent = [
         square.select_lt(bound, other[0], along[0]),

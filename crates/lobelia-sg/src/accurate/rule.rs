@@ -1,11 +1,14 @@
-//! Nodes and weights for a Gaussian that the horizon cuts: Gauss rules of the weight v·e^(−(v − t)²/2) on v > 0.
+//! Nodes and weights for a Gaussian that the horizon cuts: Gauss rules of the weight v·e^(−(v −
+//! t)²/2) on v > 0.
 //!
-//! v is the cosine with the normal in units in which the rest of the integrand has unit variance, and t is the center of
-//! that rest. For t ≫ 0 (far above the horizon) the rule becomes Gauss–Hermite, for t ≪ 0 (light from
-//! below) Gauss–Laguerre. Positions of nodes are measured from the peak 1/a of the weight, in units of its Laplace width σ; nodes, weights
-//! and mass are then smooth functions of τ = t/√(t² + 4) and are kept as polynomials, fitted to rules computed by the
-//! Stieltjes procedure, of the form Gauss–Hermite + s²P(τ) with s = (1 − τ)/2. The weights belong to the fitted
-//! nodes (they reproduce the first K moments), so that the fitting error of the nodes has no effect to first order.
+//! v is the cosine with the normal in units in which the rest of the integrand has unit variance,
+//! and t is the center of that rest. For t ≫ 0 (far above the horizon) the rule becomes
+//! Gauss–Hermite, for t ≪ 0 (light from below) Gauss–Laguerre. Positions of nodes are measured from
+//! the peak 1/a of the weight, in units of its Laplace width σ; nodes, weights and mass are then
+//! smooth functions of τ = t/√(t² + 4) and are kept as polynomials, fitted to rules computed by the
+//! Stieltjes procedure, of the form Gauss–Hermite + s²P(τ) with s = (1 − τ)/2. The weights belong
+//! to the fitted nodes (they reproduce the first K moments), so that the fitting error of the nodes
+//! has no effect to first order.
 
 use crate::real::{Real, polynomial};
 use crate::two::Two;
@@ -117,7 +120,8 @@ impl<F: Real> Clipped<F> {
         let square = t.mul_add(t, t.lit(4.0));
         let inverse_root = square.quick_rsqrt();
         let root = square * inverse_root;
-        // The root without cancellation of the two roots ±a of a² + ta = 1: m = max(a, 1/a), and 1 + m² = m·root.
+        // The root without cancellation of the two roots ±a of a² + ta = 1: m = max(a, 1/a), and 1
+        // + m² = m·root.
         let m = (root + t.max(-t)).times(0.5);
         let narrow = (m * root).quick_rsqrt();
         let wide = m * narrow;

@@ -1,12 +1,14 @@
-//! The specular integral of one light SG over an SG of half vectors: a small quadrature placed around the product's peak
-//! (`accurate/placement.rs`).
+//! The specular integral of one light SG over an SG of half vectors: a small quadrature placed
+//! around the product's peak (`accurate/placement.rs`).
 //!
-//! In half-vector space the integral is ∫ F·G₁(n·ω)·G₁(n·v)·(n·ω)·(v·h) · (L/2π)e^{L(h·n − 1)} · e^{λ(ω·ξ − 1)} dh with
-//! ω = 2(v·h)h − v (dω = 4(v·h)dh cancels the BRDF's 4(n·ω)(n·v), and G₁(c) = 1/(c(1 − k) + k)). The half vector is
-//! given in Lambert's equal-area chart around the normal, |X|² = 2(1 − h·n): there dh = dX and the NDF is exactly
-//! e^(−L|X|²/2), however broad, and the singularities of ω-space at the horizon do not occur.
+//! In half-vector space the integral is ∫ F·G₁(n·ω)·G₁(n·v)·(n·ω)·(v·h) · (L/2π)e^{L(h·n − 1)} ·
+//! e^{λ(ω·ξ − 1)} dh with ω = 2(v·h)h − v (dω = 4(v·h)dh cancels the BRDF's 4(n·ω)(n·v), and G₁(c)
+//! = 1/(c(1 − k) + k)). The half vector is given in Lambert's equal-area chart around the normal,
+//! |X|² = 2(1 − h·n): there dh = dX and the NDF is exactly e^(−L|X|²/2), however broad, and the
+//! singularities of ω-space at the horizon do not occur.
 //!
-//! At every node the integrand itself is evaluated (one exp) and divided by the weight that the rule assumes.
+//! At every node the integrand itself is evaluated (one exp) and divided by the weight that the
+//! rule assumes.
 
 use super::diffuse::fading_exp;
 use super::placement::{LocalLight, Placement, SG, Tail, Vec2Of, dot2, spread};
@@ -48,7 +50,8 @@ impl<F: Real> Placement<F> {
         let clipped = &self.clipped;
         let node = clipped.along(count, index);
         let along = clipped.width * node.offset;
-        // The weight that the rule assumes is divided out: v and e^(−u²/2), both relative to the peak.
+        // The weight that the rule assumes is divided out: v and e^(−u²/2), both relative to the
+        // peak.
         let relative = clipped.share.mul_add(node.offset, node.offset.one());
         Row {
             base: [
@@ -80,7 +83,8 @@ pub(super) struct Node<F> {
     pub cosine: F,
     /// 1/(n·ω(1 − k) + k).
     pub shadowing: F,
-    /// The integrand divided by n·ω, without the factors of the point and without F; not meaningful below the horizon.
+    /// The integrand divided by n·ω, without the factors of the point and without F; not meaningful
+    /// below the horizon.
     pub over_cosine: F,
     /// 2^(−(5.55473 v·h + 6.8316) v·h).
     pub fresnel: F,
@@ -177,7 +181,8 @@ pub(super) fn factors<F: Real, const TAIL: Tail>(
     }
 }
 
-/// √(1 − d/2) for d in [0, 1]; relative error 1.3e-6, less near 0 (beyond 1 a half vector is below the horizon).
+/// √(1 − d/2) for d in [0, 1]; relative error 1.3e-6, less near 0 (beyond 1 a half vector is below
+/// the horizon).
 #[inline(always)]
 fn root_of_half_drop<F: Real>(drop: F) -> F {
     let mut p = drop.lit(-0.003_517_036_7);

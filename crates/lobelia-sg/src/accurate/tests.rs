@@ -107,7 +107,8 @@ fn integrals_agree_with_the_cubature() {
 /// One node of a frozen sum: a world-space direction and what it is weighted with.
 type Frozen = Vec<([f64; 3], f64)>;
 
-/// The nodes that the kernel uses for a case, weighted so that Σ weight·integrand is the kernel's sum.
+/// The nodes that the kernel uses for a case, weighted so that Σ weight·integrand is the kernel's
+/// sum.
 fn frozen(case: &Case) -> Frozen {
     let (point, _) = prepare_point(case.normal, case.to_viewer, case.roughness);
     let light = LocalLight { axis: point.in_frame(case.axis), sharpness: case.sharpness };
@@ -139,11 +140,12 @@ fn frozen_sum(nodes: &Frozen, case: &Case) -> [f64; 2] {
     sums
 }
 
-/// A name, an adjoint's prediction of the objective's derivative, and the case moved by a number along an input.
+/// A name, an adjoint's prediction of the objective's derivative, and the case moved by a number
+/// along an input.
 type Move<'a> = (&'static str, f64, Box<dyn Fn(f64) -> Case + 'a>);
 
-/// The derivative of diffuse·d + constant·a + slope·b along every kind of move, given the weights; the axis also moves toward
-/// the normal if asked to.
+/// The derivative of diffuse·d + constant·a + slope·b along every kind of move, given the weights;
+/// the axis also moves toward the normal if asked to.
 pub(super) fn moves<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>(
     case: &Case,
     weights: [f64; 3],

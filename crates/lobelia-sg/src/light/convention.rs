@@ -1,7 +1,8 @@
 //! Orientation conventions of latitude-longitude maps in other programs.
 //!
-//! All of them have up at the top and show the surroundings as seen from inside (not mirrored), so each is a rotation of
-//! the convention of this crate. `docs/src/conventions.md` has a picture and the sources.
+//! All of them have up at the top and show the surroundings as seen from inside (not mirrored), so
+//! each is a rotation of the convention of this crate. `docs/src/conventions.md` has a picture and
+//! the sources.
 
 use crate::light::EnvironmentMap;
 use glam::{Mat3, Quat, Vec3};
@@ -17,23 +18,26 @@ use std::f32::consts::FRAC_PI_2;
 /// | `Blender` | +Z | −X | +Y | +X | −Y |
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum MapConvention {
-    /// The convention of this crate: direction (cos θ sin φ, cos φ, sin θ sin φ) of (u, v), with φ = πv and θ = 2πu − π/2.
+    /// The convention of this crate: direction (cos θ sin φ, cos φ, sin θ sin φ) of (u, v), with φ
+    /// = πv and θ = 2πu − π/2.
     #[default]
     Lobelia,
     /// Mitsuba 3's `envmap` without a `to_world`: the same.
     Mitsuba,
-    /// three.js, and viewers of glTF files that are built on it: u = ½ + atan2(z, x)/2π, that is θ = 2πu − π.
+    /// three.js, and viewers of glTF files that are built on it: u = ½ + atan2(z, x)/2π, that is θ
+    /// = 2πu − π.
     ThreeJs,
-    /// Blender's world, +Z up (objects in Blender's own coordinates, as in NeRF-synthetic sets): u = ½ − atan2(y, x)/2π,
-    /// v = ½ − asin(z)/π.
+    /// Blender's world, +Z up (objects in Blender's own coordinates, as in NeRF-synthetic sets): u
+    /// = ½ − atan2(y, x)/2π, v = ½ − asin(z)/π.
     Blender,
-    /// Blender's world for an object exported with "+Y up" (glTF's default), which maps (x, y, z) to (x, z, −y); the result
-    /// is the same as in three.js.
+    /// Blender's world for an object exported with "+Y up" (glTF's default), which maps (x, y, z)
+    /// to (x, z, −y); the result is the same as in three.js.
     BlenderYUp,
 }
 
 impl MapConvention {
-    /// The rotation from [`EnvironmentMap::direction`] of a position in the map to the direction in this convention.
+    /// The rotation from [`EnvironmentMap::direction`] of a position in the map to the direction in
+    /// this convention.
     pub fn turn(self) -> Quat {
         match self {
             Self::Lobelia | Self::Mitsuba => Quat::IDENTITY,
@@ -42,13 +46,14 @@ impl MapConvention {
         }
     }
 
-    /// The map in the convention of this crate. If that only shifts whole columns, texels keep their values; otherwise it is
-    /// resampled bilinearly.
+    /// The map in the convention of this crate. If that only shifts whole columns, texels keep
+    /// their values; otherwise it is resampled bilinearly.
     pub fn to_lobelia(self, map: EnvironmentMap) -> EnvironmentMap {
         self.turned(map, 1, self.turn())
     }
 
-    /// A map in the convention of this crate, converted to this one: inverse of [`Self::to_lobelia`].
+    /// A map in the convention of this crate, converted to this one: inverse of
+    /// [`Self::to_lobelia`].
     pub fn from_lobelia(self, map: EnvironmentMap) -> EnvironmentMap {
         self.turned(map, 3, self.turn().inverse())
     }

@@ -7,8 +7,8 @@ use std::f64::consts::PI;
 
 /// Radiance from every direction on a latitude-longitude grid.
 ///
-/// Texel centers at ((i + ½)/W, (j + ½)/H); top row around +Y; left edge −Z, then +X at ¼, +Z at ½, −X at ¾:
-/// direction of (u, v) = (cos θ sin φ, cos φ, sin θ sin φ), φ = πv, θ = 2πu − π/2.
+/// Texel centers at ((i + ½)/W, (j + ½)/H); top row around +Y; left edge −Z, then +X at ¼, +Z at ½,
+/// −X at ¾: direction of (u, v) = (cos θ sin φ, cos φ, sin θ sin φ), φ = πv, θ = 2πu − π/2.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EnvironmentMap {
     /// Width in texels.
@@ -20,7 +20,8 @@ pub struct EnvironmentMap {
 }
 
 impl EnvironmentMap {
-    /// A map of `width` × `height` texels (both at least 1) whose texels hold `radiance` in the direction of their center.
+    /// A map of `width` × `height` texels (both at least 1) whose texels hold `radiance` in the
+    /// direction of their center.
     ///
     /// Rows are computed in parallel.
     pub fn from_directions(width: u32, height: u32, radiance: impl Fn(Vec3) -> Vec3 + Sync) -> Self {
@@ -33,7 +34,8 @@ impl EnvironmentMap {
         map
     }
 
-    /// Unit direction of (`u`, `v`), each in `[0, 1]`: (cos θ sin φ, cos φ, sin θ sin φ), φ = πv, θ = 2πu − π/2.
+    /// Unit direction of (`u`, `v`), each in `[0, 1]`: (cos θ sin φ, cos φ, sin θ sin φ), φ = πv, θ
+    /// = 2πu − π/2.
     pub fn direction(u: f64, v: f64) -> Vec3 {
         Self::direction_of(u, (PI * v).sin_cos())
     }
@@ -44,7 +46,8 @@ impl EnvironmentMap {
         DVec3::new(cos_theta * sin_phi, cos_phi, sin_theta * sin_phi).as_vec3()
     }
 
-    /// (u, v) of a direction (of any length but zero), u in `[0, 1)`, v in `[0, 1]`: inverse of [`Self::direction`].
+    /// (u, v) of a direction (of any length but zero), u in `[0, 1)`, v in `[0, 1]`: inverse of
+    /// [`Self::direction`].
     pub fn uv(direction: Vec3) -> (f32, f32) {
         use std::f32::consts::{FRAC_1_PI, FRAC_PI_2};
         let u = (direction.z.atan2(direction.x) + FRAC_PI_2) * (0.5 * FRAC_1_PI);
@@ -77,7 +80,8 @@ impl EnvironmentMap {
         (i.min(self.width - 1), j.min(self.height - 1))
     }
 
-    /// Radiance from a direction, interpolated between the four nearest texel centers; wraps in u, clamps at the poles.
+    /// Radiance from a direction, interpolated between the four nearest texel centers; wraps in u,
+    /// clamps at the poles.
     pub fn sample_bilinear(&self, direction: Vec3) -> Vec3 {
         let (u, v) = Self::uv(direction);
         self.bilinear_at(u, v)
@@ -109,8 +113,9 @@ impl EnvironmentMap {
 
     /// The map rotated by `rotation`: light from direction d comes from `rotation * d` afterward.
     ///
-    /// Resampled bilinearly at texel centers, at the same size; the identity returns the same bits. A light that is
-    /// smaller than a texel keeps its power only up to the accuracy of the interpolation.
+    /// Resampled bilinearly at texel centers, at the same size; the identity returns the same bits.
+    /// A light that is smaller than a texel keeps its power only up to the accuracy of the
+    /// interpolation.
     pub fn rotated(&self, rotation: Quat) -> Self {
         let inverse = rotation.normalize().inverse();
         if inverse.xyz() == Vec3::ZERO {
@@ -119,8 +124,8 @@ impl EnvironmentMap {
         Self::from_directions(self.width, self.height, |omega| self.sample_bilinear(inverse * omega))
     }
 
-    /// The map averaged to `width` × `height` texels (at least 1, at most its own size), weighted by solid angle, so
-    /// that its power is preserved.
+    /// The map averaged to `width` × `height` texels (at least 1, at most its own size), weighted
+    /// by solid angle, so that its power is preserved.
     pub fn downsampled(&self, width: u32, height: u32) -> Self {
         let (width, height) = (width.clamp(1, self.width), height.clamp(1, self.height));
         if (width, height) == (self.width, self.height) {
@@ -140,8 +145,8 @@ impl EnvironmentMap {
         rows.zip(0..).map(|(row, j)| row_sum(row) * self.texel_solid_angle(j)).sum()
     }
 
-    /// Solid-angle-weighted mean, over texels and channels, of the squared difference from `other` of the same size;
-    /// `None` if the sizes differ.
+    /// Solid-angle-weighted mean, over texels and channels, of the squared difference from `other`
+    /// of the same size; `None` if the sizes differ.
     pub fn mean_squared_difference(&self, other: &Self) -> Option<f64> {
         if (self.width, self.height) != (other.width, other.height) {
             return None;
@@ -165,7 +170,8 @@ pub struct BoxFilter {
     map: EnvironmentMap,
 }
 
-/// The one or two output texels along one axis that an input texel overlaps, and its fraction of each.
+/// The one or two output texels along one axis that an input texel overlaps, and its fraction of
+/// each.
 #[derive(Clone, Copy)]
 struct Share {
     first: usize,
@@ -204,7 +210,8 @@ impl BoxFilter {
     }
 }
 
-/// How `input` texels along an axis are distributed over `output` ones; `measure` grows from 0 to 1 in proportion to area.
+/// How `input` texels along an axis are distributed over `output` ones; `measure` grows from 0 to 1
+/// in proportion to area.
 fn shares(input: u32, output: u32, measure: impl Fn(f64) -> f64) -> Vec<Share> {
     let edge = |k: u64, n: u32| measure(k as f64 / f64::from(n));
     (0..u64::from(input))
@@ -226,7 +233,8 @@ fn shares(input: u32, output: u32, measure: impl Fn(f64) -> f64) -> Vec<Share> {
 /// Checks that the map is a usable light.
 ///
 /// # Errors
-/// A clause that names the first texel with a radiance that is negative, not finite, or above [`MAX_RADIANCE`].
+/// A clause that names the first texel with a radiance that is negative, not finite, or above
+/// [`MAX_RADIANCE`].
 pub fn validate_map(map: &EnvironmentMap) -> Result<(), String> {
     let usable = |r: &Vec3| r.to_array().iter().all(|channel| (0.0..=MAX_RADIANCE).contains(channel));
     let Some(k) = map.radiance.iter().position(|r| !usable(r)) else { return Ok(()) };

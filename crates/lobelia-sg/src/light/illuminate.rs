@@ -40,9 +40,10 @@ const NO_SAMPLE: LightSample = LightSample { direction: Vec3::Y, radiance: Vec3:
 
 /// An environment map, evaluated bilinearly, and sampled by texels.
 ///
-/// A texel is drawn in proportion to the mean luminance over it of the bilinear blend (the texels weighted by
-/// [1 6 1]/8 along each side) times its solid angle, then a direction in it uniformly in solid angle. The blend's mean is
-/// positive wherever the blend is, so the estimator radiance/pdf is unbiased.
+/// A texel is drawn in proportion to the mean luminance over it of the bilinear blend (the texels
+/// weighted by [1 6 1]/8 along each side) times its solid angle, then a direction in it uniformly
+/// in solid angle. The blend's mean is positive wherever the blend is, so the estimator
+/// radiance/pdf is unbiased.
 #[derive(Clone, Debug)]
 pub struct MapLight {
     map: EnvironmentMap,
@@ -57,7 +58,8 @@ pub struct MapLight {
 }
 
 impl MapLight {
-    /// Builds the sampling tables of `map` (not empty); about 12 bytes per texel in addition to the map.
+    /// Builds the sampling tables of `map` (not empty); about 12 bytes per texel in addition to the
+    /// map.
     pub fn new(map: EnvironmentMap) -> Self {
         let (width, height) = (map.width as usize, map.height as usize);
         let means = footprint_luminance(&map);
@@ -100,7 +102,8 @@ fn footprint_luminance(map: &EnvironmentMap) -> Vec<f64> {
     (0..width * height).map(texel).collect()
 }
 
-/// Index of the interval of the running sum `sums` that contains the target, and the position in it, in `[0, 1)`.
+/// Index of the interval of the running sum `sums` that contains the target, and the position in
+/// it, in `[0, 1)`.
 fn draw(sums: &[f64], uniform: f32) -> (usize, f64) {
     let target = f64::from(uniform) * sums.last().copied().unwrap_or(0.0);
     let index = sums.partition_point(|&s| s <= target).min(sums.len().saturating_sub(1));
@@ -114,7 +117,8 @@ impl Illuminate for MapLight {
         self.map.sample_bilinear(direction)
     }
 
-    /// The first number selects the row, the second the column and the position in it, the third the height in the row.
+    /// The first number selects the row, the second the column and the position in it, the third
+    /// the height in the row.
     fn sample(&self, uniform: [f32; 3]) -> LightSample {
         if self.rows.last().is_none_or(|&total| total <= 0.0) {
             return NO_SAMPLE;
@@ -148,19 +152,22 @@ impl Illuminate for MapLight {
 
 /// A set of SG lobes, sampled exactly in proportion to their luminance.
 ///
-/// A lobe is drawn in proportion to luminance(μ) 2π(1 − e^(−2λ))/λ, then a direction from its SG. The density of the
-/// mixture is then luminance(radiance) over the total power: no sample weighs more than another in luminance.
+/// A lobe is drawn in proportion to luminance(μ) 2π(1 − e^(−2λ))/λ, then a direction from its SG.
+/// The density of the mixture is then luminance(radiance) over the total power: no sample weighs
+/// more than another in luminance.
 #[derive(Clone, Debug)]
 pub struct LobeLight {
     lobes: Vec<LightLobe>,
-    /// Structure of arrays for the evaluation: axis x, y, z, −λ/2, μ r, g, b; filled up with black lobes to whole vectors.
+    /// Structure of arrays for the evaluation: axis x, y, z, −λ/2, μ r, g, b; filled up with black
+    /// lobes to whole vectors.
     columns: [Vec<f32>; 7],
     /// Running sum of the lobes' luminous power.
     powers: Vec<f64>,
 }
 
 impl LobeLight {
-    /// The light of `lobes` with unit axes (see [`crate::light::validate_lobes`]); without lobes it is black.
+    /// The light of `lobes` with unit axes (see [`crate::light::validate_lobes`]); without lobes it
+    /// is black.
     pub fn new(lobes: &[LightLobe]) -> Self {
         let mut columns = [const { Vec::new() }; 7];
         for LightLobe { axis, sharpness, amplitude } in lobes {
@@ -213,7 +220,8 @@ impl Illuminate for LobeLight {
         dispatch!(Level::new(), simd => radiance_of(simd, &self.columns, direction))
     }
 
-    /// The first number selects the lobe, the second the angle to its axis, the third the angle around it.
+    /// The first number selects the lobe, the second the angle to its axis, the third the angle
+    /// around it.
     fn sample(&self, uniform: [f32; 3]) -> LightSample {
         if self.powers.last().is_none_or(|&total| total <= 0.0) {
             return NO_SAMPLE;
@@ -237,8 +245,8 @@ impl Illuminate for LobeLight {
 
 /// A direction drawn from the normalized SG of `axis` and `sharpness` ≥ 0.
 ///
-/// cos θ = 1 + ln(1 − u(1 − e^(−2λ)))/λ, computed as 1 − cos θ in `f64` so that it is accurate for both
-/// sharp and broad lobes.
+/// cos θ = 1 + ln(1 − u(1 − e^(−2λ)))/λ, computed as 1 − cos θ in `f64` so that it is accurate for
+/// both sharp and broad lobes.
 fn sample_sg(axis: Vec3, sharpness: f32, u: f32, turn: f32) -> Vec3 {
     let (lambda, u) = (f64::from(sharpness), f64::from(u));
     let rise = if lambda < 1e-6 { 2.0 * u } else { -(u * (-2.0 * lambda).exp_m1()).ln_1p() / lambda };
@@ -250,7 +258,8 @@ fn sample_sg(axis: Vec3, sharpness: f32, u: f32, turn: f32) -> Vec3 {
     (axis * (1.0 - rise) + (tangent * cos + bitangent * sin) * radius).as_vec3()
 }
 
-/// The lobes' radiance at every texel center of a `width` × `height` map; a size of 0 is taken as 1.
+/// The lobes' radiance at every texel center of a `width` × `height` map; a size of 0 is taken as
+/// 1.
 pub fn render_lobes(lobes: &[LightLobe], width: u32, height: u32) -> EnvironmentMap {
     let light = LobeLight::new(lobes);
     EnvironmentMap::from_directions(width.max(1), height.max(1), |omega| light.radiance(omega))
@@ -275,8 +284,8 @@ mod tests {
         }
     }
 
-    /// Checks that the mean of weight × radiance/pdf over samples is within 4 standard errors of `exact`, and that the
-    /// density of `sample` is that of `pdf`.
+    /// Checks that the mean of weight × radiance/pdf over samples is within 4 standard errors of
+    /// `exact`, and that the density of `sample` is that of `pdf`.
     fn check_estimate(light: &dyn Illuminate, weight: fn(Vec3) -> f64, exact: DVec3, floor: f64) {
         let (mut sum, mut squares) = (DVec3::ZERO, DVec3::ZERO);
         let mut numbers = Numbers(7);
@@ -286,7 +295,8 @@ mod tests {
             let sample = light.sample([numbers.next(), numbers.next(), numbers.next()]);
             assert!(sample.pdf > 0.0 && sample.pdf.is_finite());
             assert!(sample.radiance.is_finite() && (sample.direction.length() - 1.0).abs() < 1e-5);
-            // Only samples within rounding of the edge of a texel may have the density of the neighbor.
+            // Only samples within rounding of the edge of a texel may have the density of the
+            // neighbor.
             let direction = sample.direction;
             assert_eq!(light.radiance_and_pdf(direction), (light.radiance(direction), light.pdf(direction)));
             disagreements += i32::from((light.pdf(sample.direction) / sample.pdf - 1.0).abs() > 1e-3);

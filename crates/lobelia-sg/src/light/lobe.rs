@@ -9,8 +9,8 @@ use crate::{published::Lobe, sg};
 /// Most lobes of a light.
 pub const MOST_LOBES: usize = 2048;
 
-/// Largest radiance of a light, linear: sums over lobes and their squares stay finite in `f32`. The sun's disc is below 10¹⁰ in
-/// any usual unit.
+/// Largest radiance of a light, linear: sums over lobes and their squares stay finite in `f32`. The
+/// sun's disc is below 10¹⁰ in any usual unit.
 pub const MAX_RADIANCE: f32 = 1e15;
 
 /// Largest sharpness of a lobe: its width of 10⁻⁶ radians is below any pixel.
@@ -30,7 +30,8 @@ pub struct LightLobe {
 }
 
 impl LightLobe {
-    /// `count` equal white lobes that cover the sphere uniformly: the initialization of an unknown light.
+    /// `count` equal white lobes that cover the sphere uniformly: the initialization of an unknown
+    /// light.
     pub fn even(count: usize) -> Vec<Self> {
         let sharpness = spacing_sharpness(count);
         let lobe = |axis| Self { axis, sharpness, amplitude: Vec3::ONE };
@@ -42,7 +43,8 @@ impl LightLobe {
         self.amplitude * sg::evaluate(omega.to_array(), self.axis.to_array(), self.sharpness)
     }
 
-    /// Integral of the radiance over the whole sphere, linear RGB × steradians: μ 2π(1 − e^(−2λ))/λ.
+    /// Integral of the radiance over the whole sphere, linear RGB × steradians: μ 2π(1 −
+    /// e^(−2λ))/λ.
     pub fn power(&self) -> DVec3 {
         self.amplitude.as_dvec3() * sg::sphere_integral(f64::from(self.sharpness))
     }
@@ -95,9 +97,9 @@ pub fn scale_lobes(lobes: &[LightLobe], factor: Vec3) -> Vec<LightLobe> {
 /// Checks that the lobes are a valid light.
 ///
 /// # Errors
-/// A clause that names the first lobe (counted from 0) with a zero or non-unit axis (|length − 1| > 10⁻³), or a sharpness or
-/// amplitude that is negative, not finite, or above [`MAX_SHARPNESS`] or [`MAX_RADIANCE`]; or says that there are no lobes, or more than
-/// [`MOST_LOBES`].
+/// A clause that names the first lobe (counted from 0) with a zero or non-unit axis (|length − 1| >
+/// 10⁻³), or a sharpness or amplitude that is negative, not finite, or above [`MAX_SHARPNESS`] or
+/// [`MAX_RADIANCE`]; or says that there are no lobes, or more than [`MOST_LOBES`].
 pub fn validate_lobes(lobes: &[LightLobe]) -> Result<(), String> {
     if lobes.is_empty() {
         return Err("there are no light lobes; at least one is needed".to_owned());

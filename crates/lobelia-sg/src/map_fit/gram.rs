@@ -1,9 +1,10 @@
-//! Inner products of SGs and of their derivatives over the sphere, in closed form: the Gauss–Newton matrix of the map
-//! fit, independent of the map.
+//! Inner products of SGs and of their derivatives over the sphere, in closed form: the Gauss–Newton
+//! matrix of the map fit, independent of the map.
 //!
-//! The product of two unit-amplitude SGs is e^(v·ω − λ₁ − λ₂) with v = λ₁ξ₁ + λ₂ξ₂, proportional to a von Mises–Fisher density of
-//! concentration L = |v|; mean and second moments of that density are known (Mardia and Jupp 2000,
-//! §9.3.2). All four basis functions of a lobe are G times a function linear in ω, so those moments suffice.
+//! The product of two unit-amplitude SGs is e^(v·ω − λ₁ − λ₂) with v = λ₁ξ₁ + λ₂ξ₂, proportional to
+//! a von Mises–Fisher density of concentration L = |v|; mean and second moments of that density are
+//! known (Mardia and Jupp 2000, §9.3.2). All four basis functions of a lobe are G times a function
+//! linear in ω, so those moments suffice.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -13,7 +14,8 @@ use crate::map_fit::kernel::FitLobe;
 /// Below e to this power an inner product is taken as zero.
 const CUTOFF: f64 = -30.0;
 
-/// Inner products of the basis functions of two lobes: G, and ∂G with respect to the two tangents and log λ.
+/// Inner products of the basis functions of two lobes: G, and ∂G with respect to the two tangents
+/// and log λ.
 pub type Block = [[f64; 4]; 4];
 
 /// Lower triangle of the matrix of inner products of all lobes' bases, a 4 × 4 block for each pair.
@@ -35,7 +37,8 @@ impl Gram {
     }
 }
 
-/// Mean over the sphere of the product of two unit-amplitude SGs, an SG of sharpness L = |v| and amplitude e^(L − λ₁ − λ₂); and v.
+/// Mean over the sphere of the product of two unit-amplitude SGs, an SG of sharpness L = |v| and
+/// amplitude e^(L − λ₁ − λ₂); and v.
 pub fn mean_product(a: DVec3, sharpness_a: f64, b: DVec3, sharpness_b: f64) -> (f64, DVec3) {
     let v = a * sharpness_a + b * sharpness_b;
     let (length, sum) = (v.length(), sharpness_a + sharpness_b);
@@ -49,8 +52,8 @@ pub fn mean_product(a: DVec3, sharpness_a: f64, b: DVec3, sharpness_b: f64) -> (
     (exponent.exp() * mean, v)
 }
 
-/// Length of the mean direction of a von Mises–Fisher density of concentration `length`, over `length`:
-/// (coth L − 1/L)/L.
+/// Length of the mean direction of a von Mises–Fisher density of concentration `length`, over
+/// `length`: (coth L − 1/L)/L.
 fn mean_over_length(length: f64) -> f64 {
     if length < 0.1 {
         let square = length * length;
@@ -77,7 +80,8 @@ fn inner_products(a: &FitLobe, b: &FitLobe) -> Block {
     })
 }
 
-/// Each basis function of a lobe divided by its G, as constant and slope in ω: G, λ(ω·t)G, λ(ω·ξ − 1)G.
+/// Each basis function of a lobe divided by its G, as constant and slope in ω: G, λ(ω·t)G, λ(ω·ξ −
+/// 1)G.
 fn linear(lobe: &FitLobe) -> [(f64, DVec3); 4] {
     let FitLobe { axis, tangents: [one, other], sharpness, .. } = *lobe;
     [(1.0, DVec3::ZERO), (0.0, one * sharpness), (0.0, other * sharpness), (-sharpness, axis * sharpness)]

@@ -1,8 +1,9 @@
 //! Kernels of the map fit: the squared error of lobes against a map, and its derivatives.
 //!
-//! The error is E = Σ_i w_i Σ_c (Σ_k μ_kc G_k(ω_i) − y_ic)², with w the texels' shares of the sphere. The map is cut into
-//! tiles of `TILE` neighboring texels; a lobe is skipped in tiles where it is below e⁻¹⁶. Tiles are processed in
-//! parallel and their sums added in a fixed order, so results do not depend on the number of threads.
+//! The error is E = Σ_i w_i Σ_c (Σ_k μ_kc G_k(ω_i) − y_ic)², with w the texels' shares of the
+//! sphere. The map is cut into tiles of `TILE` neighboring texels; a lobe is skipped in tiles where
+//! it is below e⁻¹⁶. Tiles are processed in parallel and their sums added in a fixed order, so
+//! results do not depend on the number of threads.
 
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{DVec3, Vec3};
@@ -21,7 +22,8 @@ const CUTOFF: f64 = -16.0;
 /// A value per texel of a tile and channel.
 pub type TileValues = [[f32; TILE]; 3];
 
-/// A lobe with the parameterization of the fit: the axis rotates along tangents, the sharpness changes by a factor.
+/// A lobe with the parameterization of the fit: the axis rotates along tangents, the sharpness
+/// changes by a factor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitLobe {
     /// Unit axis ξ.
@@ -41,7 +43,8 @@ impl FitLobe {
         Self { axis, tangents: axis.any_orthonormal_pair().into(), sharpness, amplitude }
     }
 
-    /// The lobe after a step: the axis rotates toward the tangents by `step[0..2]` radians, the log sharpness increases by `step[2]`.
+    /// The lobe after a step: the axis rotates toward the tangents by `step[0..2]` radians, the log
+    /// sharpness increases by `step[2]`.
     pub fn moved(&self, step: [f64; 3]) -> Self {
         let [a, b] = self.tangents;
         Self::new(self.axis + a * step[0] + b * step[1], self.sharpness * step[2].exp(), self.amplitude)
@@ -61,7 +64,8 @@ pub struct Tile {
     radius: [f32; 2],
 }
 
-/// The region where a lobe is above the cutoff: within an angle, given by its sine and cosine, of the axis.
+/// The region where a lobe is above the cutoff: within an angle, given by its sine and cosine, of
+/// the axis.
 #[derive(Clone, Copy, Debug)]
 pub struct LobeCap {
     axis: Vec3,
@@ -73,8 +77,8 @@ pub struct LobeCap {
 pub struct Derivatives {
     /// E.
     pub error: f64,
-    /// Σ_i √w B_a r_c for each lobe, basis a (G, its derivatives with respect to the two tangents and log λ) and channel c, with r
-    /// the weighted residual.
+    /// Σ_i √w B_a r_c for each lobe, basis a (G, its derivatives with respect to the two tangents
+    /// and log λ) and channel c, with r the weighted residual.
     pub correlations: Vec<[[f64; 3]; 4]>,
 }
 
@@ -82,7 +86,8 @@ pub struct Derivatives {
 type Moments = [[f64; 4]; 3];
 
 impl Derivatives {
-    /// The derivatives of E with respect to each lobe's two tangents, log sharpness and three amplitudes.
+    /// The derivatives of E with respect to each lobe's two tangents, log sharpness and three
+    /// amplitudes.
     pub fn gradient(&self, lobes: &[FitLobe]) -> Vec<[f64; 6]> {
         let of_lobe = |(lobe, c): (&FitLobe, &[[f64; 3]; 4])| {
             let shape = [1, 2, 3].map(|a| 2.0 * (0..3).map(|ch| lobe.amplitude[ch] * c[a][ch]).sum::<f64>());
@@ -167,8 +172,8 @@ impl LobeCap {
     }
 }
 
-/// The least and largest height y within an angle of at most a right one, given by its sine and cosine, of a direction: its own, turned down and up as far as
-/// the poles.
+/// The least and largest height y within an angle of at most a right one, given by its sine and
+/// cosine, of a direction: its own, turned down and up as far as the poles.
 fn heights_of_cap(axis: Vec3, [sin, cos]: [f32; 2]) -> [f32; 2] {
     let y = axis.y.clamp(-1.0, 1.0);
     let level = (1.0 - y * y).sqrt();
@@ -213,7 +218,8 @@ impl Tile {
         Self::load(simd, &self.root_weights, at) * (lobe[3] * square).exp()
     }
 
-    /// Writes √w (model − y) of the lobes `reached`, and √w G of each of them, one after the other, into `values`.
+    /// Writes √w (model − y) of the lobes `reached`, and √w G of each of them, one after the other,
+    /// into `values`.
     #[inline(always)]
     fn residual<S: Simd>(
         &self,
@@ -340,8 +346,8 @@ fn derivatives_of_group<S: Simd>(
     (error, moments)
 }
 
-/// Products with G, λ(ω·t)G and λ(ω·ξ − 1)G from the moments about the axis: t is perpendicular to ξ, and
-/// ω·ξ − 1 = (ω − ξ)·ξ.
+/// Products with G, λ(ω·t)G and λ(ω·ξ − 1)G from the moments about the axis: t is perpendicular to
+/// ξ, and ω·ξ − 1 = (ω − ξ)·ξ.
 fn correlations(lobe: &FitLobe, moments: &Moments) -> [[f64; 3]; 4] {
     let along = |direction: DVec3| {
         moments.map(|m| lobe.sharpness * (0..3).map(|k| direction[k] * m[k + 1]).sum::<f64>())

@@ -1,10 +1,11 @@
 //! Fits SG lobes to an environment map, in the solid-angle-weighted least-squares sense.
 //!
-//! Suns are removed first ([`crate::map_fit::sun`]). Lobes are then placed in batches where they lower the error most
-//! (matching pursuit on a pyramid), and Levenberg–Marquardt optimizes all parameters together after each batch. Then some
-//! additional lobes are placed, all are optimized, and the least useful are removed; this repeats as long as the error
-//! decreases. Finally amplitudes change by the smallest amount that preserves the power of the map. There are no random numbers; results
-//! do not depend on the number of threads.
+//! Suns are removed first ([`crate::map_fit::sun`]). Lobes are then placed in batches where they
+//! lower the error most (matching pursuit on a pyramid), and Levenberg–Marquardt optimizes all
+//! parameters together after each batch. Then some additional lobes are placed, all are optimized,
+//! and the least useful are removed; this repeats as long as the error decreases. Finally
+//! amplitudes change by the smallest amount that preserves the power of the map. There are no
+//! random numbers; results do not depend on the number of threads.
 mod gram;
 pub mod kernel;
 mod place;
@@ -25,7 +26,8 @@ use crate::map_fit::solve::{LobeBounds, fit_amplitudes, keep_power, levenberg_ma
 pub use crate::map_fit::sun::Sun;
 use crate::map_fit::sun::take_suns;
 
-/// Most lobes that a map is fitted by where people ask for it: the work of a step grows with the cube of their number.
+/// Most lobes that a map is fitted by where people ask for it: the work of a step grows with the
+/// cube of their number.
 pub const MOST_FITTED: usize = 512;
 
 /// Settings of [`fit_map`]; the defaults suit about 100 lobes in a few seconds.
@@ -42,11 +44,13 @@ pub struct MapFit {
     pub relocations: usize,
     /// Levenberg–Marquardt steps at the end.
     pub polish_iterations: usize,
-    /// Largest sharpness; by default 2 (W / 2π)², a standard deviation of 0.7 texels of the map being fitted.
+    /// Largest sharpness; by default 2 (W / 2π)², a standard deviation of 0.7 texels of the map
+    /// being fitted.
     pub max_sharpness: Option<f32>,
     /// Light from above only: the map is black below the horizon, and no axis points below it.
     pub upper_hemisphere: bool,
-    /// Gray light: the map's luminance is fitted, and every lobe has one amplitude for the three channels.
+    /// Gray light: the map's luminance is fitted, and every lobe has one amplitude for the three
+    /// channels.
     pub white: bool,
 }
 
@@ -68,12 +72,13 @@ impl Default for MapFit {
 /// The lobes of a fit, and its error.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapFitReport {
-    /// The requested number of lobes, those of suns first; lobes that do not improve the fit are black.
+    /// The requested number of lobes, those of suns first; lobes that do not improve the fit are
+    /// black.
     pub lobes: Vec<LightLobe>,
     /// Suns that are fitted separately; their lobes are the first of `lobes`.
     pub suns: Vec<Sun>,
-    /// Solid-angle-weighted mean, over texel centers of the map (as [`target_of`] makes it) and channels, of the squared
-    /// error.
+    /// Solid-angle-weighted mean, over texel centers of the map (as [`target_of`] makes it) and
+    /// channels, of the squared error.
     pub mse: f64,
     /// Mean, weighted as `mse`, of the squared radiance of the map (the error without lobes).
     pub mean_square: f64,
@@ -132,7 +137,8 @@ const MOVED_ONE_IN: [usize; 3] = [6, 12, 25];
 const STEPS_PER_RELOCATION: [usize; 2] = [4, 6];
 /// A cycle of rounds that lowers the error by less than this fraction is the last.
 const WORTHWHILE: f64 = 3e-4;
-/// Up to this many lobes, all requested rounds run; with more lobes fewer, as the cost of a step is at least quadratic in their number.
+/// Up to this many lobes, all requested rounds run; with more lobes fewer, as the cost of a step is
+/// at least quadratic in their number.
 const LOBES_AT_FULL_EFFORT: usize = 128;
 /// Widths of the pyramid below the finest level.
 const WIDTHS: [u32; 4] = [32, 64, 128, 256];
@@ -142,13 +148,15 @@ const LOBES_FOR_A_SUN: usize = 4;
 /// Fits `lobes` SG lobes to `map`.
 ///
 /// # Errors
-/// [`MapFitError::Settings`] for zero lobes, a working width below 16 or a largest sharpness below 1; [`MapFitError::Map`] if the
-/// map is smaller than 2 × 1 texels or holds negative or non-finite radiance.
+/// [`MapFitError::Settings`] for zero lobes, a working width below 16 or a largest sharpness below
+/// 1; [`MapFitError::Map`] if the map is smaller than 2 × 1 texels or holds negative or non-finite
+/// radiance.
 pub fn fit_map(map: &EnvironmentMap, lobes: usize, options: &MapFit) -> Result<MapFitReport, MapFitError> {
     fit_map_with(map, lobes, options, &mut |_| {}, &|| false)
 }
 
-/// [`fit_map`] with progress reports; it ends early once `is_stopping` returns true, which is asked before every step.
+/// [`fit_map`] with progress reports; it ends early once `is_stopping` returns true, which is asked
+/// before every step.
 ///
 /// # Errors
 /// The errors of [`fit_map`], and [`MapFitError::Stopped`].
@@ -162,7 +170,8 @@ pub fn fit_map_with(
     check(map, lobes, options)?;
     let target = target_of(map, options);
     let (suns, rest) = take_suns(&target, lobes / LOBES_FOR_A_SUN, sharpest_at(target.width, options));
-    // In units of the root mean square of the map, so that f32 sums and tolerances work for any exposure.
+    // In units of the root mean square of the map, so that f32 sums and tolerances work for any
+    // exposure.
     let scale = mean_square(&rest).sqrt();
     let mut fitted: Vec<LightLobe> = suns.iter().map(|sun| sun.lobe).collect();
     if scale > 0.0 {
@@ -177,7 +186,8 @@ pub fn fit_map_with(
     Ok(report(&target, with_spares(fitted, lobes), suns))
 }
 
-/// The map that is fitted, by the options: `map` itself, its luminance, or the map with black below the horizon.
+/// The map that is fitted, by the options: `map` itself, its luminance, or the map with black below
+/// the horizon.
 pub fn target_of(map: &EnvironmentMap, options: &MapFit) -> EnvironmentMap {
     let mut target = map.clone();
     if options.white {
@@ -321,8 +331,8 @@ fn grow(levels: &[Level], count: usize, bounds: LobeBounds, teller: &mut Teller)
     lobes
 }
 
-/// Adds lobes where the residual is largest, optimizes all, and removes the least useful; a round that does not lower the error
-/// is reverted.
+/// Adds lobes where the residual is largest, optimizes all, and removes the least useful; a round
+/// that does not lower the error is reverted.
 fn relocate(
     levels: &[Level],
     lobes: &mut Vec<FitLobe>,

@@ -12,15 +12,17 @@ use crate::{
 
 /// Sharpnesses tried, each about 2.5 times the one before.
 const SHARPNESSES: [f64; 10] = [1.5, 4.0, 10.0, 25.0, 60.0, 150.0, 400.0, 1000.0, 2500.0, 6000.0];
-/// Directions tried for each sharpness: λ times this, which makes their spacing slightly more than a standard deviation, as the steps that follow move lobes by
-/// that much…
+/// Directions tried for each sharpness: λ times this, which makes their spacing slightly more than
+/// a standard deviation, as the steps that follow move lobes by that much…
 const AXES_PER_SHARPNESS: f64 = 8.0;
 /// …within these limits.
 const AXES: [usize; 2] = [600, 20_000];
-/// Candidates that are evaluated again after each choice. A gain only decreases as others are chosen, so the best candidate is
-/// missed only if its gain falls below that of the first one left out.
+/// Candidates that are evaluated again after each choice. A gain only decreases as others are
+/// chosen, so the best candidate is missed only if its gain falls below that of the first one left
+/// out.
 const SHORT_LIST: usize = 4096;
-/// Candidates are summed up where they are above e⁻⁶: the reach, above e⁻¹⁶, of so many times their sharpness.
+/// Candidates are summed up where they are above e⁻⁶: the reach, above e⁻¹⁶, of so many times their
+/// sharpness.
 const REACH: f64 = 16.0 / 6.0;
 /// Texels per standard deviation 1/√λ in the map that a sharpness is searched in.
 const TEXELS_PER_DEVIATION: f64 = 1.5;
@@ -54,9 +56,10 @@ struct Candidate {
 
 /// Up to `count` new lobes for the residual of `lobes`, best first.
 ///
-/// Matching pursuit (Mallat and Zhang 1993) on the residual r: a candidate's gain is Σ_c max(0, ⟨r_c, G⟩)²/⟨G, G⟩; the
-/// residual is computed once, and the effect of a chosen lobe on the other candidates follows from the integral of SG products.
-/// Each sharpness is searched on the coarsest of `levels` (coarse to fine) that resolves it.
+/// Matching pursuit (Mallat and Zhang 1993) on the residual r: a candidate's gain is Σ_c max(0,
+/// ⟨r_c, G⟩)²/⟨G, G⟩; the residual is computed once, and the effect of a chosen lobe on the other
+/// candidates follows from the integral of SG products. Each sharpness is searched on the coarsest
+/// of `levels` (coarse to fine) that resolves it.
 pub fn place(levels: &[Level], lobes: &[FitLobe], count: usize, bounds: LobeBounds) -> Vec<FitLobe> {
     let mut candidates = candidates(levels, lobes, bounds);
     let mut chosen = Vec::new();

@@ -19,8 +19,8 @@ pub struct LobeBounds {
 /// Parameters of a lobe: two tangents, log sharpness, three amplitudes.
 const PARAMETERS: usize = 6;
 
-/// Up to `steps` accepted Levenberg–Marquardt steps (Marquardt 1963; amplitudes and sharpness kept in bounds by
-/// projection, active bounds excluded from the step). Returns the error reached.
+/// Up to `steps` accepted Levenberg–Marquardt steps (Marquardt 1963; amplitudes and sharpness kept
+/// in bounds by projection, active bounds excluded from the step). Returns the error reached.
 pub fn levenberg_marquardt(
     tiles: &[Tile],
     lobes: &mut Vec<FitLobe>,
@@ -120,7 +120,8 @@ fn gauss_newton(lobes: &[FitLobe], gram: &Gram) -> Vec<f64> {
     matrix
 }
 
-/// A lobe after its part of the step, within the trust region of the quadratic model and the bounds.
+/// A lobe after its part of the step, within the trust region of the quadratic model and the
+/// bounds.
 fn stepped(lobe: &FitLobe, step: &[f64; PARAMETERS], bounds: LobeBounds) -> FitLobe {
     let turn = step[0].hypot(step[1]);
     let farthest = (1.0 / lobe.sharpness.sqrt()).min(0.5);
@@ -153,8 +154,9 @@ fn amplitude_matrix(lobes: &[FitLobe]) -> Vec<f64> {
     (0..n * n).map(|e| gram.at(e / n, 0, e % n, 0)).collect()
 }
 
-/// Inverse of the symmetric positive semi-definite `matrix` (n × n) with a `ridge` (a fraction of its largest entry), because two
-/// coincident lobes make it singular. `None` if it is singular nevertheless.
+/// Inverse of the symmetric positive semi-definite `matrix` (n × n) with a `ridge` (a fraction of
+/// its largest entry), because two coincident lobes make it singular. `None` if it is singular
+/// nevertheless.
 fn ridged_inverse(mut matrix: Vec<f64>, n: usize, ridge: f64) -> Option<Vec<f64>> {
     let largest = (0..n).map(|i| matrix[i * n + i]).fold(0.0, f64::max);
     (0..n).for_each(|i| matrix[i * n + i] += ridge * largest + f64::MIN_POSITIVE);
@@ -172,8 +174,9 @@ fn ridged_inverse(mut matrix: Vec<f64>, n: usize, ridge: f64) -> Option<Vec<f64>
 
 /// Removes the least important lobes, one after another, until `count` are left.
 ///
-/// Without lobe k the error grows by Σ_c μ_kc²/(A⁻¹)_kk after the other amplitudes are optimized. They are updated before
-/// the next lobe is selected, so that of two coincident lobes only one is removed (the "optimal brain surgeon", Hassibi and Stork 1993).
+/// Without lobe k the error grows by Σ_c μ_kc²/(A⁻¹)_kk after the other amplitudes are optimized.
+/// They are updated before the next lobe is selected, so that of two coincident lobes only one is
+/// removed (the "optimal brain surgeon", Hassibi and Stork 1993).
 pub fn prune(lobes: &mut Vec<FitLobe>, count: usize) {
     let n = lobes.len();
     let Some(mut inverse) = ridged_inverse(amplitude_matrix(lobes), n, 1e-9) else {
@@ -201,8 +204,9 @@ pub fn prune(lobes: &mut Vec<FitLobe>, count: usize) {
 /// Rounds in which amplitudes that would turn negative leave [`keep_power`].
 const POWER_ROUNDS: usize = 8;
 
-/// Changes the amplitudes by the smallest amount (in the metric of the error) for which the lobes have the mean radiance `means` over the
-/// sphere, per channel: x + A⁻¹m (p − mᵀx)/(mᵀA⁻¹m), with m the means of the lobes, over the lobes that are not black.
+/// Changes the amplitudes by the smallest amount (in the metric of the error) for which the lobes
+/// have the mean radiance `means` over the sphere, per channel: x + A⁻¹m (p − mᵀx)/(mᵀA⁻¹m), with m
+/// the means of the lobes, over the lobes that are not black.
 pub fn keep_power(lobes: &mut [FitLobe], means: [f64; 3]) {
     let matrix = amplitude_matrix(lobes);
     let own: Vec<f64> =

@@ -1,7 +1,8 @@
-//! Suns: a few texels that are thousands of times brighter than the rest and dominate a squared error.
+//! Suns: a few texels that are thousands of times brighter than the rest and dominate a squared
+//! error.
 //!
-//! A sun is removed from the map before the fit and gets a sharp lobe with the power, mean direction and spread
-//! of the sun; the rest of the map is then fitted without it.
+//! A sun is removed from the map before the fit and gets a sharp lobe with the power, mean
+//! direction and spread of the sun; the rest of the map is then fitted without it.
 
 use glam::{DVec3, Vec3};
 
@@ -29,8 +30,8 @@ pub struct Sun {
     pub power_share: f64,
 }
 
-/// The suns of `map`, brightest first (no more than `most`, with lobes no sharper than `sharpest`), and the map in which their
-/// texels have the radiance of their surroundings.
+/// The suns of `map`, brightest first (no more than `most`, with lobes no sharper than `sharpest`),
+/// and the map in which their texels have the radiance of their surroundings.
 pub fn take_suns(map: &EnvironmentMap, most: usize, sharpest: f64) -> (Vec<Sun>, EnvironmentMap) {
     let (mut suns, mut rest) = (Vec::new(), map.clone());
     let whole = luminous(map.power());
@@ -84,7 +85,8 @@ fn surroundings(map: &EnvironmentMap, texels: &[usize], toward: DVec3) -> (Vec3,
     (ring.get(ring.len() / 2).copied().unwrap_or(Vec3::ZERO), ring.len())
 }
 
-/// The lobe with the power, mean direction and spread of the difference of `map` and `rest` in `texels`.
+/// The lobe with the power, mean direction and spread of the difference of `map` and `rest` in
+/// `texels`.
 fn sun_of(
     map: &EnvironmentMap,
     rest: &EnvironmentMap,

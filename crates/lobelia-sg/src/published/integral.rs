@@ -1,4 +1,5 @@
-//! E(λ, c), the published approximation of the integral of an SG times the clamped cosine, and the hemisphere integral H.
+//! E(λ, c), the published approximation of the integral of an SG times the clamped cosine, and the
+//! hemisphere integral H.
 
 use crate::real::{Real, polynomial};
 use crate::sg::Dual;
@@ -6,13 +7,14 @@ use std::f64::consts::PI;
 
 /// The constant that the published code adds to denominators.
 pub(super) const TINY: f64 = 1e-6;
-/// Sharpness and amplitude of the SG that approximates the clamped cosine, and the constant subtracted from it.
+/// Sharpness and amplitude of the SG that approximates the clamped cosine, and the constant
+/// subtracted from it.
 pub(super) const COSINE_SHARPNESS: f64 = 0.0315;
 pub(super) const COSINE_AMPLITUDE: f64 = 32.7080;
 pub(super) const COSINE_OFFSET: f64 = 31.7003;
 
-/// s = ½ + ½ tanh(tc/2)/tanh(t/2): the fraction of a lobe that is in the hemisphere (Meder and Brüderlin 2018, eq. 12, rewritten).
-/// Returns s, ∂s/∂t and ∂s/∂c.
+/// s = ½ + ½ tanh(tc/2)/tanh(t/2): the fraction of a lobe that is in the hemisphere (Meder and
+/// Brüderlin 2018, eq. 12, rewritten). Returns s, ∂s/∂t and ∂s/∂c.
 #[inline(always)]
 fn hemisphere_share<F: Real>(t: F, c: F) -> (F, F, F) {
     let one = t.one();
@@ -20,7 +22,8 @@ fn hemisphere_share<F: Real>(t: F, c: F) -> (F, F, F) {
     let (a, e) = ((-t).decay(), (-(t * abs_c)).decay());
     let tanh_t = (one - a) * (one + a).inverse();
     let tanh_c = (one - e) * (one + e).inverse();
-    // Both tanh vanish for small t; below this bound the series of the ratio has an error below 1e-9.
+    // Both tanh vanish for small t; below this bound the series of the ratio has an error below
+    // 1e-9.
     let bound = t.lit(0.05);
     let (t2, c2) = (t * t, c * c);
     let inverse = tanh_t.max(t.lit(1e-8)).inverse();
@@ -37,8 +40,8 @@ fn hemisphere_share<F: Real>(t: F, c: F) -> (F, F, F) {
     (signed.mul_add(ratio, half), signed * by_t, half * by_c)
 }
 
-/// H: integral over the hemisphere around n of a unit-amplitude SG whose axis makes the cosine `c` with n
-/// (Meder and Brüderlin 2018).
+/// H: integral over the hemisphere around n of a unit-amplitude SG whose axis makes the cosine `c`
+/// with n (Meder and Brüderlin 2018).
 #[inline(always)]
 pub fn hemisphere_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
     let l = sharpness.plus(TINY);

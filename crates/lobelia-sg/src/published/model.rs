@@ -1,4 +1,5 @@
-//! The published formulas (BRDF: PhySG supp. eqs. 1–7; integrals: [`integral`](super::integral)) as a [`PairModel`].
+//! The published formulas (BRDF: PhySG supp. eqs. 1–7; integrals: [`integral`](super::integral)) as
+//! a [`PairModel`].
 
 use super::pair::{Pair, evaluate_prepared, pull_back_pair};
 use super::point::{FrozenBrdf, PointTerms, prepare_point, pull_back_normal};
@@ -8,8 +9,8 @@ use crate::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Response}
 use crate::real::{Real, Vec3Of, dot};
 use crate::sg::Shape;
 
-/// The published SG shading formulas (PhySG's `render_with_sg`), always with one SG for the NDF, whatever the NDF of the material.
-/// Every pair is evaluated; no pair is skipped.
+/// The published SG shading formulas (PhySG's `render_with_sg`), always with one SG for the NDF,
+/// whatever the NDF of the material. Every pair is evaluated; no pair is skipped.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Published;
 

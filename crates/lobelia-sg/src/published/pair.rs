@@ -1,5 +1,6 @@
-//! One point × one lobe: its two integrals, those of a/π and of F·G·D / (4 (n·ωo)(n·ωi)) (PhySG supp. eqs. 1–7) times the lobe and the
-//! cosine, and their adjoints. The NDF (eq. 4) is warped to incident directions (Wang et al. 2009); its product with the lobe is one SG.
+//! One point × one lobe: its two integrals, those of a/π and of F·G·D / (4 (n·ωo)(n·ωi)) (PhySG
+//! supp. eqs. 1–7) times the lobe and the cosine, and their adjoints. The NDF (eq. 4) is warped to
+//! incident directions (Wang et al. 2009); its product with the lobe is one SG.
 
 use super::integral::cosine_integral;
 use super::point::{PointTerms, SHRUNK, prepare_point};
@@ -9,7 +10,8 @@ use crate::sg::Dual;
 use crate::sg::{Lobe, Shape};
 use std::f64::consts::PI;
 
-/// E(λ, c) for any sharpness: from `terms` where λ ≥ [`SHARP`], by the unmodified formulas for smaller λ.
+/// E(λ, c) for any sharpness: from `terms` where λ ≥ [`SHARP`], by the unmodified formulas for
+/// smaller λ.
 ///
 /// The choice is made per lane.
 #[inline(always)]
@@ -63,7 +65,8 @@ pub fn evaluate_prepared<F: Real>(
     Pair::new(diffuse, integral, product)
 }
 
-/// The product of the light's SG and the warped NDF, itself an SG: sharpness m, cosine c with the normal, amplitude e^x.
+/// The product of the light's SG and the warped NDF, itself an SG: sharpness m, cosine c with the
+/// normal, amplitude e^x.
 #[derive(Clone, Copy)]
 struct Product<F> {
     xn: F,
@@ -152,7 +155,8 @@ pub fn pull_back_pair<F: Real>(
     }
 }
 
-/// Diffuse and specular radiance of one point under one lobe, before the clamp at zero (for tables and tests).
+/// Diffuse and specular radiance of one point under one lobe, before the clamp at zero (for tables
+/// and tests).
 pub fn shade_pair<F: Real>(
     normal: Vec3Of<F>,
     to_viewer: Vec3Of<F>,

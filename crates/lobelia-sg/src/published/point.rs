@@ -1,11 +1,13 @@
-//! The terms of a surface point and its specular material: the mirror direction, the warped NDF, the frozen BRDF factor.
+//! The terms of a surface point and its specular material: the mirror direction, the warped NDF,
+//! the frozen BRDF factor.
 
 use super::integral::TINY;
 use crate::brdf::{Facets, fresnel_power, shadowing_k};
 use crate::real::{Real, Vec3Of, add, dot, scale, sub};
 use std::f64::consts::PI;
 
-/// The published code divides by |x| + 1e-6 when it normalizes, so its "unit" vectors have this length.
+/// The published code divides by |x| + 1e-6 when it normalizes, so its "unit" vectors have this
+/// length.
 pub(super) const SHRUNK: f64 = 1.0 / (1.0 + 1e-6);
 
 /// The terms of a surface point and its specular lobe that the integral of every light lobe reads.
@@ -17,12 +19,13 @@ pub struct PointTerms<F> {
     pub mirror: Vec3Of<F>,
     /// r·n as the published code computes it.
     pub mirror_cosine: F,
-    /// Sharpness of the NDF (PhySG supp. eq. 4) warped to incident directions: (2/R⁴)/(4 n·v) (Wang et al. 2009).
+    /// Sharpness of the NDF (PhySG supp. eq. 4) warped to incident directions: (2/R⁴)/(4 n·v) (Wang
+    /// et al. 2009).
     pub warp_sharpness: F,
 }
 
-/// M·N, the BRDF factor M (PhySG supp. eqs. 1–7) frozen at the mirror direction, times the NDF's amplitude 1/(πR⁴),
-/// as `constant + slope · specular albedo`, with derivatives.
+/// M·N, the BRDF factor M (PhySG supp. eqs. 1–7) frozen at the mirror direction, times the NDF's
+/// amplitude 1/(πR⁴), as `constant + slope · specular albedo`, with derivatives.
 #[derive(Clone, Copy)]
 pub struct FrozenBrdf<F> {
     /// Part that does not depend on the specular albedo.
@@ -35,7 +38,8 @@ pub struct FrozenBrdf<F> {
     pub by_roughness: [F; 3],
 }
 
-/// One factor of G (PhySG supp. eqs. 1–7), c/(c(1 − k) + k + 1e-6), with its derivatives with respect to c and, given dk/dR, with respect to R.
+/// One factor of G (PhySG supp. eqs. 1–7), c/(c(1 − k) + k + 1e-6), with its derivatives with
+/// respect to c and, given dk/dR, with respect to R.
 #[inline(always)]
 fn shadowing_factor<F: Real>(c: F, k: F, k_prime: F) -> (F, F, F) {
     let inverse = (c * (c.one() - k) + k).plus(TINY).recip();
@@ -43,7 +47,8 @@ fn shadowing_factor<F: Real>(c: F, k: F, k_prime: F) -> (F, F, F) {
     (value, (k.plus(TINY)) * inverse * inverse, -(value * inverse) * (c.one() - c) * k_prime)
 }
 
-/// F of PhySG supp. eq. 6 without the specular albedo, at the mirror direction, and its derivative with respect to n·v.
+/// F of PhySG supp. eq. 6 without the specular albedo, at the mirror direction, and its derivative
+/// with respect to n·v.
 #[inline(always)]
 fn mirror_fresnel<F: Real>(nv: F) -> (F, F) {
     // h = (r + v)/(|r + v| + 1e-6) with r + v = 2κ(n·v)n + (1 − κ)v.
@@ -60,7 +65,8 @@ fn mirror_fresnel<F: Real>(nv: F) -> (F, F) {
     (power, power_prime)
 }
 
-/// Q = G/(4 (n·r)(n·v) + 1e-6) with n·r = κ n·v, and its derivatives with respect to n·v and to the roughness.
+/// Q = G/(4 (n·r)(n·v) + 1e-6) with n·r = κ n·v, and its derivatives with respect to n·v and to the
+/// roughness.
 #[inline(always)]
 fn shadowing_quotient<F: Real>(nv: F, roughness: F) -> [F; 3] {
     let [k, k_prime] = shadowing_k(Facets::sg(roughness));

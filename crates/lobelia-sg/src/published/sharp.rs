@@ -1,19 +1,23 @@
-//! E(λ, c), the published cosine-weighted integral of a lobe, for sharpness λ ≥ 11: the same function as
-//! [`super::integral::cosine_integral`] with much less arithmetic.
+//! E(λ, c), the published cosine-weighted integral of a lobe, for sharpness λ ≥ 11: the same
+//! function as [`super::integral::cosine_integral`] with much less arithmetic.
 //!
-//! E = 32.7080 e^x H(m, c′) − 31.7003 H(λ, c) subtracts two nearly equal numbers, so that straightforward
-//! `f32` loses 60 times its rounding error; and two evaluations of H double the cost. With H = A + Bτ, A = π/λ, B = A·coth T,
-//! τ = tanh(Tc), T = t(λ)/2, everything at the product's sharpness m is taken as a small *change* from λ:
-//! h = m − λ = k + x with |h| ≤ k = 0.0315, and series in h/λ ≤ 0.003 replace roots, exponentials and divisions:
+//! E = 32.7080 e^x H(m, c′) − 31.7003 H(λ, c) subtracts two nearly equal numbers, so that
+//! straightforward `f32` loses 60 times its rounding error; and two evaluations of H double the
+//! cost. With H = A + Bτ, A = π/λ, B = A·coth T, τ = tanh(Tc), T = t(λ)/2, everything at the
+//! product's sharpness m is taken as a small *change* from λ: h = m − λ = k + x with |h| ≤ k =
+//! 0.0315, and series in h/λ ≤ 0.003 replace roots, exponentials and divisions:
 //!
-//! E = (32.7080 − 31.7003)·H + 32.7080·(e^x H(m, c′) − H),  e^x H(m, c′) − H = A·α + B·(βτ′ + τ′ − τ)
+//! E = (32.7080 − 31.7003)·H + 32.7080·(e^x H(m, c′) − H), e^x H(m, c′) − H = A·α + B·(βτ′ + τ′ −
+//! τ)
 //!
-//! where 1 + α and 1 + β are the ratios of e^x A and e^x B at m to A and B at λ. The terms that depend on λ only are
-//! [`SharpnessTerms`]: they are computed once per lobe for the diffuse light, once per pair for the specular light.
-//! Terms in e^−λ and the 1e-6 that the published code adds to λ are left out.
+//! where 1 + α and 1 + β are the ratios of e^x A and e^x B at m to A and B at λ. The terms that
+//! depend on λ only are [`SharpnessTerms`]: they are computed once per lobe for the diffuse light,
+//! once per pair for the specular light. Terms in e^−λ and the 1e-6 that the published code adds to
+//! λ are left out.
 //!
-//! Largest measured errors of E and of λ∂E/∂λ, both in units of 2π/λ, against the published form in `f64`: these series
-//! 8e-6 and 6e-5 at λ = 11, 1e-6 and 1e-5 from 16 on, in vectors of `f32`; the published form 2e-5 and 4e-5.
+//! Largest measured errors of E and of λ∂E/∂λ, both in units of 2π/λ, against the published form in
+//! `f64`: these series 8e-6 and 6e-5 at λ = 11, 1e-6 and 1e-5 from 16 on, in vectors of `f32`; the
+//! published form 2e-5 and 4e-5.
 
 use super::integral::{COSINE_AMPLITUDE, COSINE_OFFSET, COSINE_SHARPNESS};
 use crate::{real::Real, sg::Dual};
@@ -22,15 +26,16 @@ use std::f64::consts::PI;
 /// The formulas of this file hold for this sharpness and above.
 pub const SHARP: f64 = 11.0;
 
-/// t(λ) = √λ·(1.6988 + (Pλ − Q)/(λ² + Bλ + C)): the rational function of the hemisphere integral, with its limit as a separate term.
+/// t(λ) = √λ·(1.6988 + (Pλ − Q)/(λ² + Bλ + C)): the rational function of the hemisphere integral,
+/// with its limit as a separate term.
 const LIMIT: f64 = 1.6988;
 const B: f64 = 6.2201;
 const C: f64 = 10.2415;
 const P: f64 = 10.8438 - LIMIT * B;
 const Q: f64 = LIMIT * C;
 
-/// The terms of E that depend on the sharpness λ ≥ [`SHARP`] only: 1/λ; 2kλ/(λ + k), which times c − 1 is nearly x; T = t(λ)/2 and its first
-/// two derivatives; 4e^−2T; A = π/λ; B = A·coth T.
+/// The terms of E that depend on the sharpness λ ≥ [`SHARP`] only: 1/λ; 2kλ/(λ + k), which times c
+/// − 1 is nearly x; T = t(λ)/2 and its first two derivatives; 4e^−2T; A = π/λ; B = A·coth T.
 pub type SharpnessTerms<F> = [F; 8];
 
 /// [`SharpnessTerms`] from λ and its reciprocal.
@@ -77,8 +82,9 @@ fn tanh<F: Real>(y: F) -> (F, F) {
 pub fn cosine_integral<F: Real>(sharpness: F, terms: &SharpnessTerms<F>, c: F) -> Dual<F> {
     let [inverse, slope, t, t_1, t_2, tail, even, odd] = *terms;
     let (k, one) = (c.lit(COSINE_SHARPNESS), c.one());
-    // The product of the lobe with the cosine's lobe, whose sharpness is m = λ + h, whose cosine is c′, and the logarithm of whose amplitude
-    // is x = S(√(1 + z) − 1) with S = λ + k, Sz = 2kλ(c − 1)/S, |z| ≤ 4k/λ.
+    // The product of the lobe with the cosine's lobe, whose sharpness is m = λ + h, whose cosine is
+    // c′, and the logarithm of whose amplitude is x = S(√(1 + z) − 1) with S = λ + k, Sz = 2kλ(c −
+    // 1)/S, |z| ≤ 4k/λ.
     let d = c.plus(-1.0).min(c.zero());
     let sz = slope * d;
     let z = sz * inverse * (one - k * inverse);
@@ -144,7 +150,8 @@ mod tests {
     use crate::{lanes::Lanes, lanes::dispatch, published::integral::cosine_integral as as_published};
     use fearless_simd::Simd;
 
-    /// Sharpness from the bound upward, and cosines over the whole sphere, many of them near the horizon.
+    /// Sharpness from the bound upward, and cosines over the whole sphere, many of them near the
+    /// horizon.
     fn cases() -> impl Iterator<Item = (f64, f64)> {
         let sharpness = (0..60).map(|i| SHARP * 1e4f64.powf(f64::from(i) / 59.0));
         let cosines = (0..201).flat_map(|i| {

@@ -1,4 +1,5 @@
-//! Adjoint of a chunk of points: like [`super::forward`], with the response of every pair computed again.
+//! Adjoint of a chunk of points: like [`super::forward`], with the response of every pair computed
+//! again.
 
 use super::blocks::{Chunk, LobeVector, Prepared, Shared, reaching, splat};
 use super::cull::{Gathered, Picked};
@@ -15,8 +16,8 @@ use crate::real::{Real, Vec3Of, dot, scale};
 use fearless_simd::Simd;
 use std::f32::consts::PI;
 
-/// Adjoint of one point's radiance, per channel, zero in channels that are clamped to zero: of the diffuse layer,
-/// of the specular layer, and of the light in each layer.
+/// Adjoint of one point's radiance, per channel, zero in channels that are clamped to zero: of the
+/// diffuse layer, of the specular layer, and of the light in each layer.
 struct Weights<M: PairModel> {
     diffuse: Vec3Of<f32>,
     specular: Vec3Of<f32>,
@@ -49,8 +50,9 @@ impl<M: PairModel> Weights<M> {
     }
 }
 
-/// Adjoint of a chunk of points; adds the adjoints of shared parameters to `partial`: [`LOBE_COLUMNS`] rows for each
-/// block of lobes, and a last row for the specular material (albedo, roughness).
+/// Adjoint of a chunk of points; adds the adjoints of shared parameters to `partial`:
+/// [`LOBE_COLUMNS`] rows for each block of lobes, and a last row for the specular material (albedo,
+/// roughness).
 #[inline(always)]
 pub fn adjoint_chunk<S: Simd, M: PairModel>(
     simd: S,
@@ -145,7 +147,8 @@ impl<S: Simd, M: PairModel> PullBack<'_, S, M> {
         Response { diffuse: dot(self.kd, mu), specular: Terms::from_fn(|b| dot(self.ks.at(b), mu)) }
     }
 
-    /// Adds what one vector of lobes contributes to the point; returns the gradient of the lobes in columns.
+    /// Adds what one vector of lobes contributes to the point; returns the gradient of the lobes in
+    /// columns.
     #[inline(always)]
     fn take<const PART: Part>(
         &mut self,

@@ -1,5 +1,6 @@
-//! Lobes regrouped into blocks of [`MAX_LANES`]: a block has one [`Row`] per column (axis, sharpness, amplitude, then the
-//! terms of the model), so that the values of a lobe are close in memory for any number of lobes.
+//! Lobes regrouped into blocks of [`MAX_LANES`]: a block has one [`Row`] per column (axis,
+//! sharpness, amplitude, then the terms of the model), so that the values of a lobe are close in
+//! memory for any number of lobes.
 
 use crate::columns::{LOBE_COLUMNS, LobeColumns, LobeVisibility, ShadePoint};
 use crate::lanes::{Lanes, MAX_LANES, RECORD, Row, record_of, record_of_mut};
@@ -7,8 +8,8 @@ use crate::model::{PairModel, Terms};
 use crate::{brdf::SpecularValue, real::Vec3Of, sg::Shape};
 use fearless_simd::Simd;
 
-/// Number of rows of a block of prepared lobes: columns of lobes, terms of the model, the [`limit_rows`], and the columns of each lobe
-/// side by side ([`record`]).
+/// Number of rows of a block of prepared lobes: columns of lobes, terms of the model, the
+/// [`limit_rows`], and the columns of each lobe side by side ([`record`]).
 pub const fn block_rows<M: PairModel>() -> usize {
     limits_at::<M>() + 2 + RECORD
 }
@@ -94,16 +95,18 @@ pub(super) fn load_lobes<S: Simd, M: PairModel>(simd: S, block: &[Row], at: usiz
     }
 }
 
-/// Upper bound of the light that culling leaves out, summed over all lobes, as a fraction of the mean radiance. Measured values
-/// are far lower: with 128 lobes and by the exponent alone, 0.07 % of the specular light at R = 0.1, 0.03 % at R = 0.3, 0.004 % at R = 0.5.
+/// Upper bound of the light that culling leaves out, summed over all lobes, as a fraction of the
+/// mean radiance. Measured values are far lower: with 128 lobes and by the exponent alone, 0.07 %
+/// of the specular light at R = 0.1, 0.03 % at R = 0.3, 0.004 % at R = 0.5.
 const CULLED: f32 = 0.1;
 
-/// The part of that bound for lobes that are left out because of their irradiance, most of them below the horizon, where a rough
-/// surface would receive light from each of them otherwise.
+/// The part of that bound for lobes that are left out because of their irradiance, most of them
+/// below the horizon, where a rough surface would receive light from each of them otherwise.
 pub const STRICTNESS: f32 = 0.01;
 
-/// The exponent per lobe above which its specular part is negligible: e^(−exponent)·amplitude < CULLED/lobes · mean radiance.
-/// A dim lobe counts as a lobe of mean amplitude, because the gradient of its amplitude does not shrink with the amplitude.
+/// The exponent per lobe above which its specular part is negligible: e^(−exponent)·amplitude <
+/// CULLED/lobes · mean radiance. A dim lobe counts as a lobe of mean amplitude, because the
+/// gradient of its amplitude does not shrink with the amplitude.
 pub fn exponent_limits(lobes: &LobeColumns) -> impl Fn(usize) -> f32 {
     let brightest = |i: usize| {
         let [r, g, b] = lobes.get(i).amplitude;

@@ -59,9 +59,11 @@ impl ClosedForm {
         slices::shade(self.kernels(specular.ndf), points, specular, lighting.into(), out);
     }
 
-    /// The response of each point to each lobe as if its amplitude were 1 and all of it arrived, at least 0, on this thread alone: of a point
-    /// [`RESPONSE_ROWS`](super::RESPONSE_ROWS) rows of [`LobeColumns::stride`] values: irradiance, then specular radiance in red, green and blue. The albedo
-    /// of the points is not read; the amplitudes of the lobes say only what is negligible.
+    /// The response of each point to each lobe as if its amplitude were 1 and all of it arrived, at
+    /// least 0, on this thread alone: of a point [`RESPONSE_ROWS`](super::RESPONSE_ROWS) rows of
+    /// [`LobeColumns::stride`] values: irradiance, then specular radiance in red, green and blue.
+    /// The albedo of the points is not read; the amplitudes of the lobes say only what is
+    /// negligible.
     pub fn respond(
         self,
         points: &[ShadePoint],
@@ -72,7 +74,8 @@ impl ClosedForm {
         slices::respond(self.kernels(specular.ndf), points, specular, lobes, out);
     }
 
-    /// [`shade_adjoint_with`](super::slices::shade_adjoint_with) with this form; of [`Quality::High`] with the default number of nodes.
+    /// [`shade_adjoint_with`](super::slices::shade_adjoint_with) with this form; of
+    /// [`Quality::High`] with the default number of nodes.
     pub fn shade_adjoint<'a>(
         self,
         points: &[ShadePoint],
@@ -86,8 +89,8 @@ impl ClosedForm {
         slices::shade_adjoint(kernels, points, specular, lighting, radiance, out, gradient);
     }
 
-    /// [`Self::shade_adjoint`] with the sums over each chunk of [`CHUNK`](super::CHUNK) points instead of their total, which
-    /// [`ChunkSums::total_into`] then takes.
+    /// [`Self::shade_adjoint`] with the sums over each chunk of [`CHUNK`](super::CHUNK) points
+    /// instead of their total, which [`ChunkSums::total_into`] then takes.
     pub fn shade_adjoint_in_chunks<'a>(
         self,
         points: &[ShadePoint],
@@ -103,7 +106,8 @@ impl ClosedForm {
 
     /// The loops of this form with a distribution of microfacet normals.
     ///
-    /// Never inlined, because a crate that uses these trait objects directly compiles all their loops again.
+    /// Never inlined, because a crate that uses these trait objects directly compiles all their
+    /// loops again.
     #[inline(never)]
     fn kernels(self, ndf: Ndf) -> &'static dyn Kernels {
         match (self, ndf) {

@@ -1,4 +1,5 @@
-//! Culling of specular parts: the lobes whose specular part is not negligible at a point, packed into vectors.
+//! Culling of specular parts: the lobes whose specular part is not negligible at a point, packed
+//! into vectors.
 
 use super::blocks::{limit_rows, load, record};
 use crate::lanes::{Lanes, MAX_LANES, RECORD, Row};
@@ -12,7 +13,8 @@ pub const BATCH: usize = 16;
 /// Lobes that [`Picked`] holds; one vector may be written beyond the last.
 const ROOM: usize = (BATCH + 1) * MAX_LANES;
 
-/// Lobes of a vector whose specular part is not negligible, as bits for each of the [`RULES`], given their irradiance.
+/// Lobes of a vector whose specular part is not negligible, as bits for each of the [`RULES`],
+/// given their irradiance.
 #[inline(always)]
 pub fn survivors<S: Simd, M: PairModel>(
     simd: S,
@@ -72,7 +74,8 @@ pub type PickedByRule = [Picked; RULES.len()];
 pub struct Picked {
     /// Indices of the lobes, as numbers.
     index: [f32; ROOM],
-    /// The irradiance from each and its derivatives with respect to sharpness and cosine, where [`Picked::push_light`] was called.
+    /// The irradiance from each and its derivatives with respect to sharpness and cosine, where
+    /// [`Picked::push_light`] was called.
     light: [[f32; ROOM]; 3],
     /// Number of lobes held.
     pub count: usize,
@@ -93,7 +96,8 @@ impl Picked {
         self.count += bits.count_ones() as usize;
     }
 
-    /// The irradiance from the lobes that the next [`Picked::push`] adds, with its derivatives if they are asked for.
+    /// The irradiance from the lobes that the next [`Picked::push`] adds, with its derivatives if
+    /// they are asked for.
     #[inline(always)]
     pub fn push_light<S: Simd>(&mut self, light: &Dual<Lanes<S>>, bits: u64, derivatives: bool) {
         let range = self.count..self.count + Lanes::<S>::LEN;

@@ -1,5 +1,5 @@
-//! The loops of one closed form over a chunk of points, behind a trait object: threads and sums are compiled once, and
-//! the loops of every form once per instruction set.
+//! The loops of one closed form over a chunk of points, behind a trait object: threads and sums are
+//! compiled once, and the loops of every form once per instruction set.
 
 use super::blocks::{Chunk, Shared, prepare_lobes};
 use super::{adjoint::adjoint_chunk, forward::shade_chunk, respond::respond_chunk};
@@ -26,8 +26,9 @@ pub(crate) trait Kernels: Sync {
     fn respond(&self, shared: Shared<'_, ()>, points: &[ShadePoint], out: &mut [f32]);
 }
 
-/// Radiance by the formulas of the first model, adjoints and responses by those of the second: the same one, or one that has the same
-/// terms of a lobe, differs in the number of nodes alone, and is compiled anyway.
+/// Radiance by the formulas of the first model, adjoints and responses by those of the second: the
+/// same one, or one that has the same terms of a lobe, differs in the number of nodes alone, and is
+/// compiled anyway.
 pub(crate) struct Loops<F, M>(pub F, pub M);
 
 impl<F: PairModel, M: PairModel> Kernels for Loops<F, M> {

@@ -1,11 +1,13 @@
 //! SG shading of many points by many lobes: the slice kernels behind the Shade and Gradient stages.
 //!
-//! Lobes are stored in columns, padded to a whole number of SIMD vectors. Points are processed one by one, in chunks over the
-//! threads. Sums over points are computed per chunk and then over chunks in order, so the result does not depend on the
-//! number of threads. The formulas are a [`PairModel`](crate::model::PairModel)'s; [`ClosedForm`] chooses one at run time.
+//! Lobes are stored in columns, padded to a whole number of SIMD vectors. Points are processed one
+//! by one, in chunks over the threads. Sums over points are computed per chunk and then over chunks
+//! in order, so the result does not depend on the number of threads. The formulas are a
+//! [`PairModel`](crate::model::PairModel)'s; [`ClosedForm`] chooses one at run time.
 //!
-//! Vector arithmetic belongs in `#[inline(always)]` functions and loops, not in large closures: a closure that the
-//! compiler does not inline is compiled without the instructions of the level and is ten times slower.
+//! Vector arithmetic belongs in `#[inline(always)]` functions and loops, not in large closures: a
+//! closure that the compiler does not inline is compiled without the instructions of the level and
+//! is ten times slower.
 
 mod adjoint;
 mod blocks;

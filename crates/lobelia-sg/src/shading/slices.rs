@@ -14,8 +14,8 @@ use std::cell::Cell;
 pub const CHUNK: usize = 256;
 
 thread_local! {
-    /// Buffers kept between calls, so that a step of a fit allocates nothing. They are taken out while in use, because a thread
-    /// that waits for its own call may execute work of another call.
+    /// Buffers kept between calls, so that a step of a fit allocates nothing. They are taken out
+    /// while in use, because a thread that waits for its own call may execute work of another call.
     static SCRATCH: Cell<Vec<Row>> = const { Cell::new(Vec::new()) };
     static SUMS: Cell<ChunkSums> = Cell::default();
 }
@@ -31,9 +31,9 @@ pub fn shade_with<M: PairModel>(
     shade(&Loops(model, model), points, specular, lighting, out);
 }
 
-/// Propagates the adjoint of the radiance of each point back to the points and to the shared parameters (not to the visibility),
-/// by the formulas of `model`. Where a channel is clamped to zero, its adjoint is dropped. Overwrites `gradient` and reuses its
-/// memory.
+/// Propagates the adjoint of the radiance of each point back to the points and to the shared
+/// parameters (not to the visibility), by the formulas of `model`. Where a channel is clamped to
+/// zero, its adjoint is dropped. Overwrites `gradient` and reuses its memory.
 pub fn shade_adjoint_with<M: PairModel>(
     model: M,
     points: &[ShadePoint],
@@ -113,7 +113,8 @@ pub(crate) fn shade_adjoint_in_chunks(
     SCRATCH.set(lobes);
 }
 
-/// Responses of points to each lobe, on this thread alone; see [`ClosedForm::respond`](super::ClosedForm::respond).
+/// Responses of points to each lobe, on this thread alone; see
+/// [`ClosedForm::respond`](super::ClosedForm::respond).
 pub(crate) fn respond(
     kernels: &dyn Kernels,
     points: &[ShadePoint],

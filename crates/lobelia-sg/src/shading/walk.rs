@@ -7,8 +7,8 @@ use crate::model::{BOTH, DIFFUSE, NARROW, PairModel, Part, RULES, SMOOTH, SPECUL
 use crate::sg::Dual;
 use fearless_simd::Simd;
 
-/// Work on the lobes of one point, one vector at a time. This is a trait, because vector arithmetic in a closure
-/// is compiled without the selected instruction set.
+/// Work on the lobes of one point, one vector at a time. This is a trait, because vector arithmetic
+/// in a closure is compiled without the selected instruction set.
 pub(super) trait Visit<S: Simd, M: PairModel> {
     /// Whether the visitor needs the derivatives of the irradiance.
     const ADJOINT: bool = false;
@@ -18,7 +18,8 @@ pub(super) trait Visit<S: Simd, M: PairModel> {
     fn picked<const PART: Part>(&mut self, lobes: &Gathered<'_, S>, placed: &M::Placed<Lanes<S>>);
 }
 
-/// Passes all lobes to a visitor; for a model that culls, only the specular parts that are not negligible.
+/// Passes all lobes to a visitor; for a model that culls, only the specular parts that are not
+/// negligible.
 #[inline(always)]
 pub(super) fn walk<S: Simd, M: PairModel, V: Visit<S, M>>(
     simd: S,
@@ -55,8 +56,8 @@ pub(super) fn walk<S: Simd, M: PairModel, V: Visit<S, M>>(
             process::<S, M, SMOOTH>(simd, shared, terms, &mut picked[2], visitor);
             continue;
         }
-        // Functions of their own: LLVM takes several times as long for one function with all rules in it. Not for several SGs,
-        // whose terms of a point would be copied at each call.
+        // Functions of their own: LLVM takes several times as long for one function with all rules
+        // in it. Not for several SGs, whose terms of a point would be copied at each call.
         simd.vectorize(
             #[inline(always)]
             || process::<S, M, SPECULAR>(simd, shared, terms, &mut picked[0], visitor),

@@ -1,4 +1,5 @@
-//! The slice kernels of every closed form. Apart from the unit tests, so that the kernels are compiled once.
+//! The slice kernels of every closed form. Apart from the unit tests, so that the kernels are
+//! compiled once.
 
 use lobelia_sg::*;
 

@@ -1,4 +1,5 @@
-//! Properties for all inputs: results are finite, not negative, and monotone where physics requires it.
+//! Properties for all inputs: results are finite, not negative, and monotone where physics requires
+//! it.
 
 use crate::brdf::{Facets, Ndf};
 use crate::cases::{direction, unit};
@@ -141,7 +142,8 @@ proptest! {
         }
     }
 
-    /// Diffuse light falls as a lobe turns away from the normal, and as it narrows at the same amplitude.
+    /// Diffuse light falls as a lobe turns away from the normal, and as it narrows at the same
+    /// amplitude.
     #[test]
     fn diffuse_light_falls_as_the_lobe_turns_away_or_narrows(
         log in -3.0f64..6.0, wider in 0.0f64..1.0, one in -1.0f64..=1.0, other in -1.0f64..=1.0,
@@ -193,7 +195,8 @@ fn agrees_in_both_precisions(point: &ShadePoint, material: &SpecularValue, lobe:
     }
 }
 
-/// A light along the normal, where the gradient of n·ω vanishes up to rounding: its sign must not be lost.
+/// A light along the normal, where the gradient of n·ω vanishes up to rounding: its sign must not
+/// be lost.
 #[test]
 fn a_light_along_the_normal_is_as_exact_in_single_precision() {
     let normal = unit([1e-5, 1.0, 0.0]).map(|x| x as f32);

@@ -186,7 +186,8 @@ fn check_extremes(form: ClosedForm, ndf: Ndf) {
     }
 }
 
-/// Points of more than one chunk, with lobes of all sharpness in every vector, and a gradient that was used before.
+/// Points of more than one chunk, with lobes of all sharpness in every vector, and a gradient that
+/// was used before.
 #[test]
 fn threads_and_what_was_there_before_do_not_change_a_bit() {
     let (mut points, specular, lobes) = inputs(&cases(700, 37));
@@ -251,14 +252,16 @@ impl SizedSum {
     }
 }
 
-/// Diffuse and specular radiance of one point under one lobe, with this distribution of microfacet normals.
+/// Diffuse and specular radiance of one point under one lobe, with this distribution of microfacet
+/// normals.
 fn exact_layers(form: ClosedForm, case: &Case, ndf: Ndf) -> [[f64; 3]; 2] {
     let lobe = Lobe { axis: case.axis, sharpness: case.sharpness, amplitude: case.amplitude };
     let facets = Facets { ndf, roughness: case.roughness };
     form.shade_pair([case.normal, case.to_viewer], &lobe, case.albedo, case.specular, facets)
 }
 
-/// Adjoints of sharpness and roughness of one point under one lobe, given [`ADJOINT`] of its radiance.
+/// Adjoints of sharpness and roughness of one point under one lobe, given [`ADJOINT`] of its
+/// radiance.
 fn exact_adjoints<const NDF: usize>(
     case: &Case,
     point: &PointTerms<f64, NDF>,
@@ -329,7 +332,8 @@ fn check_accurate_slices<const NDF: usize>(
     }
 }
 
-/// Specular light with everything negligible left out, against all of it: an error below that of the integrals themselves.
+/// Specular light with everything negligible left out, against all of it: an error below that of
+/// the integrals themselves.
 #[test]
 fn what_is_left_out_is_negligible() {
     let mut work = crate::workload::Workload::new(600, 128, 0.3);
@@ -365,7 +369,8 @@ fn what_is_left_out_is_negligible() {
     }
 }
 
-/// Visibility of points in the open, but for some occlusion of their specular light and some light from the object.
+/// Visibility of points in the open, but for some occlusion of their specular light and some light
+/// from the object.
 const AROUND: PointVisibility = PointVisibility { specular: [0.5, 0.25, 1.5], indirect: [0.2, 0.1, 0.4] };
 
 /// Part of a lobe's irradiance that reaches the points, of 255.
@@ -381,7 +386,8 @@ fn dimmed(lobes: &LobeColumns) -> LobeColumns {
     }))
 }
 
-/// Checks radiance and adjoints of points without specular light that see a part of each lobe, against those that see dimmed lobes.
+/// Checks radiance and adjoints of points without specular light that see a part of each lobe,
+/// against those that see dimmed lobes.
 fn check_dimmed_points(points: &[ShadePoint], hidden: &RoundTrip, dim: &RoundTrip) {
     for ((a, b), point) in hidden.shaded.iter().zip(&dim.shaded).zip(points) {
         for c in 0..3 {

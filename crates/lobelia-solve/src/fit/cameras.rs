@@ -1,15 +1,20 @@
-//! Cameras as unknowns: the pose of each training view and one factor on all focal lengths, optimized together with the rest of a fit.
+//! Cameras as unknowns: the pose of each training view and one factor on all focal lengths,
+//! optimized together with the rest of a fit.
 //!
-//! The rays of a step are cast through the cameras as they are then ([`crate::fit::observe::take_observations`]).
+//! The rays of a step are cast through the cameras as they are then
+//! ([`crate::fit::observe::take_observations`]).
 //!
-//! Direct image alignment (Lucas and Kanade 1981; Engel, Koltun and Cremers 2018): a surface point keeps its position and its
-//! radiance, and the photograph is sampled where the moved camera sees it. So the derivative of a residual is the gradient of the
-//! photograph times the Jacobian of the point's projection, for any kind of surface. Silhouettes are aligned in the same way, by the
+//! Direct image alignment (Lucas and Kanade 1981; Engel, Koltun and Cremers 2018): a surface point
+//! keeps its position and its radiance, and the photograph is sampled where the moved camera sees
+//! it. So the derivative of a residual is the gradient of the photograph times the Jacobian of the
+//! point's projection, for any kind of surface. Silhouettes are aligned in the same way, by the
 //! distance in pixels to the silhouette of the mask.
 //!
-//! Each view sums its normal equations. Together they form an arrowhead matrix, solved by the Schur complement; the parameters that all
-//! views share are the focal length and, for an unknown object, its rotation, translation and scale as a whole. Without the latter,
-//! cameras and object could drift together; that part of the solution is not used, because the object's own fit determines it.
+//! Each view sums its normal equations. Together they form an arrowhead matrix, solved by the Schur
+//! complement; the parameters that all views share are the focal length and, for an unknown object,
+//! its rotation, translation and scale as a whole. Without the latter, cameras and object could
+//! drift together; that part of the solution is not used, because the object's own fit determines
+//! it.
 
 use crate::fit::guard::{StepGuard, is_usable};
 use crate::fit::observe::{GradientsNeeded, take_gradients};
@@ -86,7 +91,8 @@ pub enum CameraUnknowns {
 /// A residual of a view with its derivatives with respect to the camera.
 #[derive(Clone, Copy, Debug)]
 pub struct AlignedRow {
-    /// By the pose (rotation vector; right, down, forward), the log focal length, and the log size of the object.
+    /// By the pose (rotation vector; right, down, forward), the log focal length, and the log size
+    /// of the object.
     pub jacobian: [f32; JACOBIAN_COLUMNS],
     /// In radiance, or in pixels for a silhouette.
     pub residual: f32,
@@ -95,7 +101,8 @@ pub struct AlignedRow {
 }
 
 impl AlignedRow {
-    /// A residual `value(π(point))` − `value` where `gradient` is the gradient of `value` in the image, per pixel.
+    /// A residual `value(π(point))` − `value` where `gradient` is the gradient of `value` in the
+    /// image, per pixel.
     pub fn new(camera: &Camera, point: Vec3, center: Vec3, gradient: Vec2, residual: f32) -> Option<Self> {
         let [by_x, by_y] = projection_jacobian(camera, point, center)?;
         let jacobian = std::array::from_fn(|k| gradient.x * by_x[k] + gradient.y * by_y[k]);
@@ -114,7 +121,8 @@ pub struct CameraFit {
     pub center: Option<Vec3>,
     /// The parameters that are optimized.
     pub unknowns: CameraUnknowns,
-    /// Whether the object moves as well, so that only relative corrections between cameras are used.
+    /// Whether the object moves as well, so that only relative corrections between cameras are
+    /// used.
     pub object_moves: bool,
 }
 
@@ -211,8 +219,9 @@ pub fn align_photographs(
     Ok(())
 }
 
-/// Adds residuals of a kind (0: photographs, 1: silhouettes) to the normal equations of their cameras. Where one or its derivatives are not finite, it tells the
-/// guard, adds none and returns false.
+/// Adds residuals of a kind (0: photographs, 1: silhouettes) to the normal equations of their
+/// cameras. Where one or its derivatives are not finite, it tells the guard, adds none and returns
+/// false.
 pub(crate) fn add_rows(
     kind: usize,
     rows: &[(ViewIndex, AlignedRow)],
@@ -255,7 +264,8 @@ pub fn move_cameras(
         camera: **camera,
     };
     let mut aligned: Vec<AlignedView> = views.iter().map(aligned).collect();
-    // There is one focal length for all views. If it is not optimized, it keeps its value from an earlier pass.
+    // There is one focal length for all views. If it is not optimized, it keeps its value from an
+    // earlier pass.
     let (share, from) = match fit.unknowns {
         CameraUnknowns::PosesAndFocal => (1.0 / aligned.len() as f64, fit.log_focal),
         _ => (1e30, 0.0),
@@ -281,12 +291,15 @@ pub fn move_cameras(
 
 /// Parameters of a pose.
 const POSE: usize = 6;
-/// Columns of the Jacobian of a residual: the pose, the log focal length, and the log size of the object.
+/// Columns of the Jacobian of a residual: the pose, the log focal length, and the log size of the
+/// object.
 const JACOBIAN_COLUMNS: usize = POSE + 2;
-/// Parameters that all views share: the log focal length, and the object's log size, rotation and translation.
+/// Parameters that all views share: the log focal length, and the object's log size, rotation and
+/// translation.
 const SHARED: usize = 8;
 
-/// Correction to the given pose of a camera: rotation about its own axes (radians), then translation along them (world units).
+/// Correction to the given pose of a camera: rotation about its own axes (radians), then
+/// translation along them (world units).
 type Pose = [f64; POSE];
 
 /// A camera turned and shifted along its own axes, its focal lengths multiplied by e^`log_focal`.
@@ -298,8 +311,8 @@ fn moved(given: &Camera, pose: &Pose, log_focal: f64) -> Camera {
     Camera { world_from_camera: given.world_from_camera * shift, focal, ..*given }
 }
 
-/// Jacobian of the projection of a world point (x, then y, in pixels) with respect to pose, log focal length, and log size of the
-/// object around `center`; `None` behind the camera.
+/// Jacobian of the projection of a world point (x, then y, in pixels) with respect to pose, log
+/// focal length, and log size of the object around `center`; `None` behind the camera.
 fn projection_jacobian(camera: &Camera, point: Vec3, center: Vec3) -> Option<[[f32; JACOBIAN_COLUMNS]; 2]> {
     let camera_from_world = camera.world_from_camera.inverse();
     let local = camera_from_world.transform_point3(point);
@@ -344,7 +357,8 @@ impl PoseSums {
     }
 }
 
-/// Weights of the Gaussian prior on a camera's correction: per radian², per world unit², and on the squared log of the focal factor.
+/// Weights of the Gaussian prior on a camera's correction: per radian², per world unit², and on the
+/// squared log of the focal factor.
 #[derive(Clone, Copy)]
 struct Prior {
     rotation: f64,
@@ -352,7 +366,8 @@ struct Prior {
     focal: f64,
 }
 
-/// One view in a joint step: its normal equations, and its camera with the correction and the prior that draws that to 0.
+/// One view in a joint step: its normal equations, and its camera with the correction and the prior
+/// that draws that to 0.
 #[derive(Clone, Copy)]
 struct AlignedView {
     sums: PoseSums,
@@ -361,9 +376,10 @@ struct AlignedView {
     camera: Camera,
 }
 
-/// One Gauss–Newton step of all views together: the change of each pose and of the log focal length. A view without residuals does not
-/// move. Where the object's position, orientation and size are not known (about its `center`), the step solves for them as well, and does not
-/// use them.
+/// One Gauss–Newton step of all views together: the change of each pose and of the log focal
+/// length. A view without residuals does not move. Where the object's position, orientation and
+/// size are not known (about its `center`), the step solves for them as well, and does not use
+/// them.
 fn solve(views: &[AlignedView], center: Vec3, is_known: bool, log_focal: f64) -> (Vec<Pose>, f64) {
     let mut tip = [0.0; SHARED * SHARED];
     let mut step = [0.0; SHARED];
@@ -393,7 +409,8 @@ fn solve(views: &[AlignedView], center: Vec3, is_known: bool, log_focal: f64) ->
 
 /// A view with its pose eliminated.
 struct Arm {
-    /// The step of the pose for fixed shared parameters, and its derivatives with respect to these, negated.
+    /// The step of the pose for fixed shared parameters, and its derivatives with respect to these,
+    /// negated.
     by_right: Pose,
     by_shared: [Pose; SHARED],
     /// The contribution of the view to the block of shared parameters.
@@ -443,7 +460,8 @@ impl Arm {
     }
 }
 
-/// Each shared parameter as a combination of the Jacobian columns of a view: a motion of the object is the inverse motion of the camera.
+/// Each shared parameter as a combination of the Jacobian columns of a view: a motion of the object
+/// is the inverse motion of the camera.
 fn shared_acts(camera: &Camera, center: Vec3) -> [[f64; SHARED]; JACOBIAN_COLUMNS] {
     let camera_from_world = camera.world_from_camera.inverse();
     let middle = camera_from_world.transform_point3(center);
@@ -506,7 +524,8 @@ mod tests {
         (reach > 0.05).then(|| ray.origin + (along - reach.sqrt()) * ray.direction)
     }
 
-    /// Normal equations of a view of the ball: its pattern as `camera` predicts it, moved by `object`, against a photograph from `truth`.
+    /// Normal equations of a view of the ball: its pattern as `camera` predicts it, moved by
+    /// `object`, against a photograph from `truth`.
     fn equations(camera: &Camera, truth: &Camera, object: impl Fn(Vec3) -> Vec3) -> PoseSums {
         let mut sums = PoseSums::default();
         let photograph = |x: f32, y: f32| on_ball(truth, x, y).map(|p| pattern(object(p)));

@@ -1,5 +1,6 @@
-//! Components and resources of a fit: gradients and moments of the parameters, and the state of the fit; Adam (Kingma and Ba 2015) on small
-//! arrays, and the smooth reparameterization that keeps parameters in their ranges.
+//! Components and resources of a fit: gradients and moments of the parameters, and the state of the
+//! fit; Adam (Kingma and Ba 2015) on small arrays, and the smooth reparameterization that keeps
+//! parameters in their ranges.
 
 use crate::fit::loss::{Loss, LossSums};
 use crate::fit::roughness::PerMaterial;
@@ -41,7 +42,8 @@ pub struct Unknowns {
     pub specular_albedo: bool,
     /// One gray specular albedo instead of three channels.
     pub mono_specular: bool,
-    /// The first base material may be a metal, and the others are dielectrics ([`metal`](crate::fit::metal)); only with several.
+    /// The first base material may be a metal, and the others are dielectrics
+    /// ([`metal`](crate::fit::metal)); only with several.
     pub metal: bool,
     /// Roughness.
     pub roughness: bool,
@@ -152,7 +154,8 @@ impl AdamStep {
     }
 }
 
-/// A parameter with bounds: a logistic function maps an unbounded parameter to the range, and steps are taken in the unbounded one.
+/// A parameter with bounds: a logistic function maps an unbounded parameter to the range, and steps
+/// are taken in the unbounded one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounded {
     /// Lower end of the range.
@@ -165,7 +168,8 @@ impl Bounded {
     /// The unit interval, for albedos.
     pub const UNIT: Self = Self { low: 0.0, high: 1.0 };
 
-    /// Smallest distance (relative to the range) from an end, so that values near an end can still move.
+    /// Smallest distance (relative to the range) from an end, so that values near an end can still
+    /// move.
     const MARGIN: f32 = 1e-4;
 
     fn fraction(self, value: f32) -> f32 {

@@ -1,21 +1,24 @@
 //! The detail of a texture: each texel's albedo, sheen and tilt, from every pixel that shows it.
 //!
-//! A fit by small random steps finds light, shape and specular lobes from a part of the pixels; more pixels and finer texels
-//! would only make it slower. The detail of the albedo needs all of them. With everything else held, the radiance is linear in albedo and
-//! sheen, and nearly so in the tilt, so that least squares over all training photographs gives them at once ([`TexelEquations`]): a step of variable projection (Golub
-//! and Pereyra 2003). A pixel sees a bilinear mixture of four texels; its residual counts for each by its weight, and some sweeps
-//! over all pixels take back what this blurs (as SIRT does, Gilbert 1972). Pixels that disagree with the others of a texel, by highlights
-//! and shadows that the model does not have, count less.
+//! A fit by small random steps finds light, shape and specular lobes from a part of the pixels;
+//! more pixels and finer texels would only make it slower. The detail of the albedo needs all of
+//! them. With everything else held, the radiance is linear in albedo and sheen, and nearly so in
+//! the tilt, so that least squares over all training photographs gives them at once
+//! ([`TexelEquations`]): a step of variable projection (Golub and Pereyra 2003). A pixel sees a
+//! bilinear mixture of four texels; its residual counts for each by its weight, and some sweeps
+//! over all pixels take back what this blurs (as SIRT does, Gilbert 1972). Pixels that disagree
+//! with the others of a texel, by highlights and shadows that the model does not have, count less.
 //!
-//! The equations of a texel: with light, shape and specular lobes held, the radiance of a pixel is L = (ρ + g s + ρ̄ t · v⊥) u + L_s in the albedo
-//! ρ, the sheen s ([`lobelia_world::material::sheen`]) and the tilt t ([`lobelia_world::material::tilt`]) of its texels, where g = 1 − c and u is
-//! the diffuse radiance of a white surface. A pixel with residual r then says, for changes of the albedo, the sheen and the difference ρ̄ t between
-//! sides,
+//! The equations of a texel: with light, shape and specular lobes held, the radiance of a pixel is
+//! L = (ρ + g s + ρ̄ t · v⊥) u + L_s in the albedo ρ, the sheen s
+//! ([`lobelia_world::material::sheen`]) and the tilt t ([`lobelia_world::material::tilt`]) of its
+//! texels, where g = 1 − c and u is the diffuse radiance of a white surface. A pixel with residual
+//! r then says, for changes of the albedo, the sheen and the difference ρ̄ t between sides,
 //!
 //! δρ + g δs + ρ̄ δt · v⊥ = r / u.
 //!
-//! All channels share the weight, that of their mean radiance, and the direction of the tilt, so that weighted least squares over the
-//! pixels of a texel needs 31 sums.
+//! All channels share the weight, that of their mean radiance, and the direction of the tilt, so
+//! that weighted least squares over the pixels of a texel needs 31 sums.
 
 use crate::fit::groups::{exchange_light, groups_of_views};
 use crate::fit::observe::{observed_in, spawn_samples, usable_by_view, usable_pixels};
@@ -70,11 +73,13 @@ const SHADING_PART: f32 = 0.8;
 pub struct DetailOptions {
     /// The closed form used for shading.
     pub form: ClosedForm,
-    /// Whether shading includes shadows and reflections; the world then needs an [`ObjectVisibility`](crate::visibility::ObjectVisibility).
+    /// Whether shading includes shadows and reflections; the world then needs an
+    /// [`ObjectVisibility`](crate::visibility::ObjectVisibility).
     pub visibility: bool,
     /// Whether the tilt is unknown as well.
     pub tilt: bool,
-    /// Whether the first base material may be a metal, beneath which there is no diffuse light ([`metal`](crate::fit::metal)).
+    /// Whether the first base material may be a metal, beneath which there is no diffuse light
+    /// ([`metal`](crate::fit::metal)).
     pub metal: bool,
 }
 
@@ -113,9 +118,10 @@ pub struct DetailPixels {
     kept: Vec<KeptPixel>,
 }
 
-/// Solves for albedo, sheen and tilt of all texels: shades the pixels of the training photographs, then sweeps over them a few times.
-/// `watch` is called with the part of the work that is done. Raises [`TexelSeen`] where the sweeps see more than the fit did. A run that is
-/// stopped keeps the sweeps before.
+/// Solves for albedo, sheen and tilt of all texels: shades the pixels of the training photographs,
+/// then sweeps over them a few times. `watch` is called with the part of the work that is done.
+/// Raises [`TexelSeen`] where the sweeps see more than the fit did. A run that is stopped keeps the
+/// sweeps before.
 ///
 /// # Errors
 /// The first error of a system.
@@ -188,8 +194,8 @@ fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<(
     Ok(())
 }
 
-/// Visits all pixels, then moves albedo, sheen and tilt of all texels to the solution, within their bounds. Without any sheen so far there
-/// will be none. Breaks if the run is stopped before.
+/// Visits all pixels, then moves albedo, sheen and tilt of all texels to the solution, within their
+/// bounds. Without any sheen so far there will be none. Breaks if the run is stopped before.
 fn sweep(world: &mut World, pixels: &[KeptPixel], options: DetailOptions) -> Result<ControlFlow<()>> {
     let mut albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let mut sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
@@ -218,13 +224,15 @@ fn sweep(world: &mut World, pixels: &[KeptPixel], options: DetailOptions) -> Res
             if with_sheen {
                 sheen.0 = along - albedo.0;
             }
-            // The difference between sides is what was solved for, not its part of the albedo, which changes as well.
+            // The difference between sides is what was solved for, not its part of the albedo,
+            // which changes as well.
             let now = mean_albedo(albedo.0, sheen.0);
             let part = mean.dot(now) / now.length_squared().max(LEAST_COLOR);
             tilt.0 = ((tilt.0 + change.tilt) * part).clamp_length_max(MOST_TILT);
         },
     );
-    // A texel that no pixel meets between texels that the fit has seen keeps what the fit has found there.
+    // A texel that no pixel meets between texels that the fit has seen keeps what the fit has found
+    // there.
     let mut seen = read_column::<TexelIndex, TexelSeen>(world)?;
     seen.iter_mut().zip(&equations).for_each(|(seen, equations)| seen.0 = seen.0.max(equations.seen));
     write_column::<TexelIndex, DiffuseSheen>(world, &sheen)?;
@@ -252,7 +260,8 @@ pub fn show_pixels(
     Ok(())
 }
 
-/// Gather: shading is that of a white surface, because radiance per unit of albedo is wanted, also of black texels.
+/// Gather: shading is that of a white surface, because radiance per unit of albedo is wanted, also
+/// of black texels.
 pub fn whiten_points(samples: Samples<&mut ShadePoint>) -> SystemResult {
     samples.columns()?.iter_mut().for_each(|point| point.albedo = [1.0; 3]);
     Ok(())
@@ -362,8 +371,8 @@ impl From<KeptPixel> for ShadedPixel {
     }
 }
 
-/// Adds what the pixels say to the `equations` of their texels, which now have the albedo `of`. Beside a known albedo along the surface
-/// (`is_known`) the unknown one has only its part.
+/// Adds what the pixels say to the `equations` of their texels, which now have the albedo `of`.
+/// Beside a known albedo along the surface (`is_known`) the unknown one has only its part.
 fn add_pixels(
     pixels: &[KeptPixel],
     of: impl Fn(usize) -> DirectionalAlbedo,
@@ -387,17 +396,20 @@ fn add_pixels(
     }
 }
 
-/// How much a pixel counts whose residual may be that of something the model does not have (Geman and McClure's weight), in [0, 1].
+/// How much a pixel counts whose residual may be that of something the model does not have (Geman
+/// and McClure's weight), in [0, 1].
 fn agreement(residual: Vec3, predicted: Vec3) -> f32 {
     let relative = residual.length() / (predicted.length() + DARK);
     (1.0 + (relative / TOLERATED).powi(2)).recip()
 }
 
-/// Weight against a change of the albedo, in pixels that show the texel straight on and say that nothing changes.
+/// Weight against a change of the albedo, in pixels that show the texel straight on and say that
+/// nothing changes.
 const STILL_ALBEDO: f32 = 0.1;
 /// Weight against a change of the sheen, likewise.
 const STILL_SHEEN: f32 = 0.5;
-/// Weight against a change of the sheen, as a part of all evidence: an albedo along the surface that is hardly seen stays.
+/// Weight against a change of the sheen, as a part of all evidence: an albedo along the surface
+/// that is hardly seen stays.
 const STILL_PART: f32 = 0.01;
 
 /// Least part of the mean of the channels that a channel of the light counts with.
@@ -415,8 +427,8 @@ struct TexelChange {
     tilt: Vec3,
 }
 
-/// Sums over the pixels that show a texel, with weights w u², where u is the mean of the channels; the unknowns of a channel are those
-/// of the functions 1, g and v⊥ of the view direction.
+/// Sums over the pixels that show a texel, with weights w u², where u is the mean of the channels;
+/// the unknowns of a channel are those of the functions 1, g and v⊥ of the view direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TexelEquations {
     /// 1, g, g².
@@ -434,7 +446,8 @@ pub struct TexelEquations {
 }
 
 impl TexelEquations {
-    /// Adds a pixel of this weight: diffuse radiance `unit` of a white surface, g = `along`, v⊥ = `side`, and observed minus predicted radiance.
+    /// Adds a pixel of this weight: diffuse radiance `unit` of a white surface, g = `along`, v⊥ =
+    /// `side`, and observed minus predicted radiance.
     #[inline]
     fn add(&mut self, unit: Vec3, along: f32, side: Vec3, residual: Vec3, weight: f32) {
         let gray = unit.element_sum() / 3.0;
@@ -457,7 +470,8 @@ impl TexelEquations {
         (0..3).for_each(|c| self.side_changes[c] += sided * change[c]);
     }
 
-    /// The changes that explain most of the residuals. Without `sheen` it stays; so does the tilt without the mean albedo and the tilt `before`.
+    /// The changes that explain most of the residuals. Without `sheen` it stays; so does the tilt
+    /// without the mean albedo and the tilt `before`.
     fn solve(&self, sheen: bool, before: Option<(Vec3, Vec3)>) -> TexelChange {
         let one = self.one_along[0] / self.seen;
         if one.is_nan() || one <= 0.0 {
@@ -473,7 +487,8 @@ impl TexelEquations {
         TexelChange { albedo, sheen, tilt }
     }
 
-    /// The change of the tilt, where albedo and sheen of each channel follow it (their Schur complement).
+    /// The change of the tilt, where albedo and sheen of each channel follow it (their Schur
+    /// complement).
     fn solve_tilt(&self, colors: Mat2, still: f32, color: Vec3, tilt: Vec3) -> Vec3 {
         let power = color.length_squared();
         if power < LEAST_COLOR {
@@ -554,7 +569,8 @@ mod tests {
 
     const COLOR: Vec3 = Vec3::new(0.5, 0.3, 0.2);
 
-    /// Pixel `i` of a texel whose normal is +Z: g and v⊥ of a view up to `most` from straight on, as a part of the hemisphere.
+    /// Pixel `i` of a texel whose normal is +Z: g and v⊥ of a view up to `most` from straight on,
+    /// as a part of the hemisphere.
     fn view(i: u32, most: f32) -> (f32, Vec3) {
         let along = most * (i * 29 % 100) as f32 / 100.0;
         let sine = (1.0 - (1.0 - along) * (1.0 - along)).sqrt();

@@ -1,14 +1,20 @@
-//! How well photographs determine what a fit has found: standard deviations from the curvature of the squared error.
+//! How well photographs determine what a fit has found: standard deviations from the curvature of
+//! the squared error.
 //!
-//! Radiance is taken as linear in the logarithms of the lobes' amplitudes, of the specular albedo and of the roughness. Each small patch of the surface has a
-//! factor on its albedo that nobody knows, so that only differences between the views of a patch count. The residuals of a model that is not quite right
-//! are alike in neighboring pixels: the deviations are those of a sandwich estimator with clusters (Liang and Zeger 1986), not those of independent noise. Each logarithm
-//! has a prior of deviation 1, and so have the light as a whole and each of its channels: that is what is left where photographs say nothing.
+//! Radiance is taken as linear in the logarithms of the lobes' amplitudes, of the specular albedo
+//! and of the roughness. Each small patch of the surface has a factor on its albedo that nobody
+//! knows, so that only differences between the views of a patch count. The residuals of a model
+//! that is not quite right are alike in neighboring pixels: the deviations are those of a sandwich
+//! estimator with clusters (Liang and Zeger 1986), not those of independent noise. Each logarithm
+//! has a prior of deviation 1, and so have the light as a whole and each of its channels: that is
+//! what is left where photographs say nothing.
 //!
-//! Left out are reflected light, sheen and tilt; and what geometry has moved since the last part of the steps began.
+//! Left out are reflected light, sheen and tilt; and what geometry has moved since the last part of
+//! the steps began.
 //!
-//! The deviations are local: a fit that ended in another minimum than the truth's does not know it. Measured where the truth is known, errors are `OPTIMISM`
-//! times as large (`docs/research/fit.md`), so the deviations are multiplied by it.
+//! The deviations are local: a fit that ended in another minimum than the truth's does not know it.
+//! Measured where the truth is known, errors are `OPTIMISM` times as large
+//! (`docs/research/fit.md`), so the deviations are multiplied by it.
 
 use crate::fit::initialization::{Initialization, Known, extent, lobes_of, traced, with_initialization};
 use crate::fit::{components::Unknowns, loss::radiance, run::FitOptions};
@@ -27,7 +33,8 @@ use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::{collections::HashMap, f32::consts::FRAC_1_PI};
 
-/// Cells along the longest side of the object whose pixels have residuals that may be alike, and patches along it whose albedo has a factor.
+/// Cells along the longest side of the object whose pixels have residuals that may be alike, and
+/// patches along it whose albedo has a factor.
 const CLUSTERS: f32 = 32.0;
 const PATCHES: f32 = 128.0;
 /// Most pixels that are looked at.
@@ -39,7 +46,8 @@ const STEP: f32 = 0.02;
 /// Root mean square, over seven objects, of errors over the deviations by curvature.
 const OPTIMISM: f64 = 6.0;
 
-/// How well a fit's results are determined: standard deviations of logarithms, so 0.1 is about 10 %; 1 is that of nothing known. Of what is given there is none.
+/// How well a fit's results are determined: standard deviations of logarithms, so 0.1 is about 10
+/// %; 1 is that of nothing known. Of what is given there is none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Determined {
     /// Of the light's brightness, mean of the channels.
@@ -50,7 +58,8 @@ pub struct Determined {
     pub specular_albedo: Option<f64>,
     /// Of the roughness.
     pub roughness: Option<f64>,
-    /// How many lobes of the light are determined, mean of the channels: the effective number of parameters.
+    /// How many lobes of the light are determined, mean of the channels: the effective number of
+    /// parameters.
     pub lobes: Option<f64>,
 }
 
@@ -77,8 +86,9 @@ impl Determined {
     }
 }
 
-/// Measures it with the observations of a fit, of several groups those of the first, under the light, albedo and material that the world has
-/// now. `None` with several base materials, without pixels, or where no inverse can be found.
+/// Measures it with the observations of a fit, of several groups those of the first, under the
+/// light, albedo and material that the world has now. `None` with several base materials, without
+/// pixels, or where no inverse can be found.
 pub(crate) fn measure(world: &mut World, options: &FitOptions) -> Result<Option<Determined>> {
     let FitOptions { unknowns, form, visibility: shadowed, .. } = *options;
     let materials = recovered_materials(world);
@@ -178,7 +188,8 @@ fn power_shares(lobes: &[LightLobe], merged: &MergedLobes) -> Vec<f64> {
     (0..3).flat_map(of_channel).collect()
 }
 
-/// Runs of patches that are summed up on their own, so that the order of the sums does not depend on threads.
+/// Runs of patches that are summed up on their own, so that the order of the sums does not depend
+/// on threads.
 const RUNS: usize = 16;
 /// Fewest clusters.
 const LEAST_CLUSTERS: usize = 20;
@@ -207,7 +218,8 @@ struct AlbedoPatches {
     clusters: usize,
 }
 
-/// Parts of the surface by position, `fine` along the longest side, and by the octant of the normal; clusters are `coarse` along it.
+/// Parts of the surface by position, `fine` along the longest side, and by the octant of the
+/// normal; clusters are `coarse` along it.
 fn patches(observations: &[Observation], [coarse, fine]: [f32; 2], albedo_is_unknown: bool) -> AlbedoPatches {
     let (low, side) = extent(observations);
     let cell = |position: Vec3, count: f32| ((position - low) * (count / side)).as_uvec3().to_array();
@@ -233,7 +245,8 @@ fn patches(observations: &[Observation], [coarse, fine]: [f32; 2], albedo_is_unk
     AlbedoPatches { albedo_is_unknown, clusters: known.len(), patches, pixels }
 }
 
-/// The lobes that count as one: each has all of the power of near directions, and its logarithm is a parameter.
+/// The lobes that count as one: each has all of the power of near directions, and its logarithm is
+/// a parameter.
 struct MergedLobes {
     /// For each lobe the one that it is a part of.
     of_lobe: Vec<usize>,
@@ -277,7 +290,8 @@ struct ShadedSamples<'a> {
     pub samples: &'a [Sample],
 }
 
-/// Curvature and gradients of half the squared error. Parameters are the lobes of red, green and blue, the specular albedo, the roughness.
+/// Curvature and gradients of half the squared error. Parameters are the lobes of red, green and
+/// blue, the specular albedo, the roughness.
 struct Evidence {
     parameters: usize,
     /// Curvature, row by row.
@@ -347,8 +361,9 @@ fn sum_run(shaded: &ShadedSamples<'_>, patches: &AlbedoPatches, run: &[Patch]) -
     sums
 }
 
-/// Derivatives of a pixel, by channel: with respect to the channel's lobes, then to what all channels share. `response` is that of the point
-/// ([`ClosedForm::respond`]). Reflected light counts as known.
+/// Derivatives of a pixel, by channel: with respect to the channel's lobes, then to what all
+/// channels share. `response` is that of the point ([`ClosedForm::respond`]). Reflected light
+/// counts as known.
 fn row(response: &[f32], shaded: &ShadedSamples<'_>, index: usize) -> [Vec<f64>; 3] {
     let Lighting { lobes, visibility } = shaded.lighting;
     let (point, sample) = (&shaded.points[index], &shaded.samples[index]);
@@ -391,8 +406,9 @@ fn add_patch(sums: &mut ChannelSums, cluster: usize, rows: &[&Vec<f64>], diffuse
     }
 }
 
-/// The distribution of the parameters given the photographs. To the parameters of the evidence come four that all lobes share: a factor on all light, and
-/// one on each channel. So a light of many lobes is not brighter or redder by prior than one of few.
+/// The distribution of the parameters given the photographs. To the parameters of the evidence come
+/// four that all lobes share: a factor on all light, and one on each channel. So a light of many
+/// lobes is not brighter or redder by prior than one of few.
 struct Posterior {
     lobes: usize,
     /// Factor of curvature and prior.
@@ -410,8 +426,9 @@ fn with_shared(vector: &[f64], lobes: usize) -> Vec<f64> {
 }
 
 impl Evidence {
-    /// With what is free: light, specular albedo, roughness; a prior of deviation 1 on each parameter. `None` if the curvature is not finite, or with fewer clusters than tell
-    /// anything of their scatter.
+    /// With what is free: light, specular albedo, roughness; a prior of deviation 1 on each
+    /// parameter. `None` if the curvature is not finite, or with fewer clusters than tell anything
+    /// of their scatter.
     pub fn posterior(&self, [light, specular_albedo, roughness]: [bool; 3]) -> Option<Posterior> {
         let lobes = (self.parameters - 2) / 3;
         if self.gradients.len() < LEAST_CLUSTERS {
@@ -438,7 +455,8 @@ impl Evidence {
 }
 
 impl Posterior {
-    /// Standard deviation along a direction of the evidence's parameters, as far as they are free: that of the scores of clusters, and of the prior.
+    /// Standard deviation along a direction of the evidence's parameters, as far as they are free:
+    /// that of the scores of clusters, and of the prior.
     pub fn deviation(&self, direction: &[f64]) -> f64 {
         let free = |vector: &[f64]| -> Vec<f64> {
             vector.iter().zip(&self.is_free).map(|(value, free)| if *free { *value } else { 0.0 }).collect()
@@ -453,7 +471,8 @@ impl Posterior {
         (data * clusters / (clusters - 1.0) + prior).sqrt()
     }
 
-    /// Effective number of parameters of the light: 1 for each that the photographs determine, 0 for each that the prior does.
+    /// Effective number of parameters of the light: 1 for each that the photographs determine, 0
+    /// for each that the prior does.
     pub fn effective_of_light(&self) -> f64 {
         let of = |at: usize| {
             let mut unit = vec![0.0; self.is_free.len()];
@@ -506,7 +525,8 @@ mod tests {
         let patches = patches(&seen, [16.0, 128.0], true);
         let of = |(run, cluster): &Patch| (patches.pixels[run.clone()].to_vec(), *cluster);
         let found: Vec<(Vec<u32>, usize)> = patches.patches.iter().map(of).collect();
-        // The side of a wall that is seen from behind is a patch of its own; all but the far one are in one cluster.
+        // The side of a wall that is seen from behind is a patch of its own; all but the far one
+        // are in one cluster.
         assert_eq!(found, [(vec![3], 0), (vec![0, 2], 0), (vec![4], 0), (vec![1], 1)]);
         assert_eq!(patches.clusters, 2);
     }
@@ -568,7 +588,8 @@ mod tests {
 
     #[test]
     fn deviations_are_those_of_least_squares_and_of_the_prior() {
-        // No lobe; ten thousand measurements of the first parameter with noise of variance 0.04, each a cluster; the second is given.
+        // No lobe; ten thousand measurements of the first parameter with noise of variance 0.04,
+        // each a cluster; the second is given.
         let measured = 10_000;
         let noise = |i: usize| if i.is_multiple_of(2) { 0.2 } else { -0.2 };
         let evidence = Evidence {

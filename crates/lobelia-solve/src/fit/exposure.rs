@@ -1,8 +1,9 @@
 //! Exposure and white balance of each photograph as unknowns: factors on the radiance of the scene.
 //!
-//! A factor is the weighted least-squares ratio of the photograph to the prediction over recent windows, with weights that
-//! minimize the sum of absolute differences (iteratively reweighted least squares), so it needs no rate. The geometric mean of the
-//! factors of the photographs under a light is held at 1: a common factor belongs to the light.
+//! A factor is the weighted least-squares ratio of the photograph to the prediction over recent
+//! windows, with weights that minimize the sum of absolute differences (iteratively reweighted
+//! least squares), so it needs no rate. The geometric mean of the factors of the photographs under
+//! a light is held at 1: a common factor belongs to the light.
 
 use crate::fit::components::StepRates;
 use bevy_ecs::prelude::{Res, ResMut, Resource};
@@ -25,9 +26,11 @@ const FIRST_STEP: u32 = 50;
 const SQUARE_BELOW: f32 = 0.03;
 /// Range of a factor.
 const RANGE: (f32, f32) = (0.2, 5.0);
-/// The step after which [`ExposureChoice::Auto`] decides whether photographs differ: before the errors are measured by which materials are chosen.
+/// The step after which [`ExposureChoice::Auto`] decides whether photographs differ: before the
+/// errors are measured by which materials are chosen.
 const DECIDED_AT: u32 = 60;
-/// Difference of the logarithm from the median, of a fifth of the photographs at least, from which their brightness is unknown.
+/// Difference of the logarithm from the median, of a fifth of the photographs at least, from which
+/// their brightness is unknown.
 const DIFFERENT: f32 = 0.1;
 /// The same of a channel beside the brightness, from which their color is.
 const COLORED: f32 = 0.05;
@@ -38,12 +41,13 @@ const SELDOM: f64 = 0.05;
 /// Part of the photographs that are nearer to the median.
 const ALIKE: f32 = 0.8;
 
-/// Whether photographs have exposures of their own: factors on their radiance, 0.2 to 5, of which the geometric mean is 1. Views are
-/// rendered without.
+/// Whether photographs have exposures of their own: factors on their radiance, 0.2 to 5, of which
+/// the geometric mean is 1. Views are rendered without.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ExposureChoice {
-    /// Each fit decides after 60 steps: unknown if more than a fifth of the photographs are brighter or darker than the fit explains by 10 %,
-    /// with a color if a channel is by 5 %. Until then it has what the fit before decided.
+    /// Each fit decides after 60 steps: unknown if more than a fifth of the photographs are
+    /// brighter or darker than the fit explains by 10 %, with a color if a channel is by 5 %. Until
+    /// then it has what the fit before decided.
     #[default]
     Auto,
     /// All photographs have the same exposure and white balance.
@@ -131,8 +135,9 @@ impl Exposures {
         }
     }
 
-    /// The logarithms of the ratios of each view, in its brightness and in each channel, less their means over the views under the same light; `None` for a view
-    /// of which not more is seen than a part of the mean of all. A channel of which too little is seen is like the brightness.
+    /// The logarithms of the ratios of each view, in its brightness and in each channel, less their
+    /// means over the views under the same light; `None` for a view of which not more is seen than
+    /// a part of the mean of all. A channel of which too little is seen is like the brightness.
     fn logs(&self, part: f64) -> Vec<Option<(f64, DVec3)>> {
         let signal = |sums: &[ChannelSums; 3]| DVec3::from(sums.map(|sums| sums.signal));
         let all: DVec3 = self.sums.iter().map(signal).sum();
@@ -201,7 +206,8 @@ fn spread(values: impl Iterator<Item = f32>) -> f32 {
     quantile(&mut values, ALIKE).unwrap_or(0.0)
 }
 
-/// Loss: estimates unknown exposures from the predictions of the window, and decides whether they are unknown.
+/// Loss: estimates unknown exposures from the predictions of the window, and decides whether they
+/// are unknown.
 pub fn find_exposures(
     rates: Res<StepRates>,
     mut exposures: ResMut<Exposures>,
@@ -225,7 +231,8 @@ pub fn find_exposures(
 mod tests {
     use super::*;
 
-    /// The exposures after many windows of views with these factors, a fifth of whose pixels are in a shadow.
+    /// The exposures after many windows of views with these factors, a fifth of whose pixels are in
+    /// a shadow.
     fn found(truth: &[Vec3], used: ExposureChoice) -> Exposures {
         let views = truth.len();
         let mut exposures = Exposures { used, ..Exposures::default() };
@@ -313,7 +320,8 @@ mod tests {
         assert_eq!(exposures.factor(ViewIndex(0)), Vec3::ONE);
     }
 
-    /// The exposures after one window of twelve views of this radiance, each 100 pixels of `seen(view)`.
+    /// The exposures after one window of twelve views of this radiance, each 100 pixels of
+    /// `seen(view)`.
     fn after(radiance: [f32; 3], seen: impl Fn(usize) -> Vec3) -> Exposures {
         let mut exposures = Exposures { is_open: true, ..Exposures::default() };
         let pixels: Vec<_> = (0..1200).map(|i| PixelOf { view: ViewIndex(i % 12), pixel: i }).collect();

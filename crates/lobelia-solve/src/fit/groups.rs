@@ -1,8 +1,10 @@
-//! Lights that take turns: photographs of several [groups](lobelia_world::light::groups), each under a light of its own.
+//! Lights that take turns: photographs of several [groups](lobelia_world::light::groups), each
+//! under a light of its own.
 //!
-//! A step visits the photographs of one group. Before it, the values of the scene's own light and of the group's are exchanged, with their moments
-//! and shadows, and after it they are exchanged back; systems know of one light alone. Groups have turns in
-//! proportion to their pixels. Albedo and materials are common to all, and so is the scale between light and albedo.
+//! A step visits the photographs of one group. Before it, the values of the scene's own light and
+//! of the group's are exchanged, with their moments and shadows, and after it they are exchanged
+//! back; systems know of one light alone. Groups have turns in proportion to their pixels. Albedo
+//! and materials are common to all, and so is the scale between light and albedo.
 
 use crate::fit::run::{entities, remove_from};
 use crate::{fit::components::LobeMoments, visibility::ObjectVisibility};
@@ -23,7 +25,8 @@ const LEAST_SHARE: f64 = 0.25;
 #[derive(Component)]
 struct GroupVisibility(ObjectVisibility);
 
-/// Exchanges the scene's own light and that of a group: lobes, moments and shadows. Twice is as before. Nothing changes for the first group.
+/// Exchanges the scene's own light and that of a group: lobes, moments and shadows. Twice is as
+/// before. Nothing changes for the first group.
 pub(crate) fn exchange_light(world: &mut World, group: LightGroup) {
     let Some(light) = group_light(world, group) else { return };
     let of_group = world.get::<LobesOf>(light).map(|of| of.entities().to_vec()).unwrap_or_default();
@@ -164,7 +167,8 @@ impl Turns {
         self
     }
 
-    /// The turn of the next step. Every few steps all groups find their shadows anew, each in its next turn.
+    /// The turn of the next step. Every few steps all groups find their shadows anew, each in its
+    /// next turn.
     pub fn next(&mut self) -> Turn {
         if self.step.is_multiple_of(self.refresh_every) {
             self.groups.iter_mut().for_each(|group| group.is_stale = true);
@@ -177,7 +181,8 @@ impl Turns {
         let number = with_pixels.min_by(|a, b| due(a).total_cmp(&due(b))).unwrap_or(0);
         let GroupTurns { pool, visits, visited, all_visits, is_stale, .. } = &mut self.groups[number];
         *visits += 1;
-        // Contiguous windows of the shuffled pool, in turn; the last one of a pass through the pool may be shorter.
+        // Contiguous windows of the shuffled pool, in turn; the last one of a pass through the pool
+        // may be shorter.
         let start = *visited % pool.len().max(1);
         let end = (start + batch.max(1)).min(pool.len());
         *visited += end - start;

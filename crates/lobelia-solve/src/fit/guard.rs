@@ -1,9 +1,12 @@
-//! Guards against steps that are not finite: a step whose loss or gradient is not finite is traced to its pixel and parameter, and not taken.
+//! Guards against steps that are not finite: a step whose loss or gradient is not finite is traced
+//! to its pixel and parameter, and not taken.
 //!
-//! Shapes, vertices and cameras look at their own gradients, with `is_usable`, and tell the [`StepGuard`].
+//! Shapes, vertices and cameras look at their own gradients, with `is_usable`, and tell the
+//! [`StepGuard`].
 //!
-//! Values that are not finite are set to zero, so that nothing that is kept from step to step takes them up; `step_is_sound` then holds Update
-//! back, and Gradient too if they are found in Loss. If they are found in Gradient, the rest of that stage runs on zeros.
+//! Values that are not finite are set to zero, so that nothing that is kept from step to step takes
+//! them up; `step_is_sound` then holds Update back, and Gradient too if they are found in Loss. If
+//! they are found in Gradient, the rest of that stage runs on zeros.
 
 use crate::fit::components::{AlbedoGradient, LossState, StepGradient};
 use crate::fit::exposure::Exposures;
@@ -28,13 +31,15 @@ use serde::{Deserialize, Serialize};
 
 /// Steps in a row that may be taken back; one more ends the fit.
 const MOST_IN_A_ROW: u32 = 9;
-/// Adjoints beyond this count as not finite: their squares, times the range of an amplitude, must not overflow.
+/// Adjoints beyond this count as not finite: their squares, times the range of an amplitude, must
+/// not overflow.
 const LARGEST: f32 = 1e12;
 /// Radiance beyond this counts as not finite.
 const BRIGHTEST: f32 = 1e15;
 
-/// Where a step that is not taken fails first: the quantity that is not finite ("the radiance", "the gradient"), the pixel if it is one's, and
-/// the parameter that it is traced to ("light lobe 3", "the albedo of texel 517").
+/// Where a step that is not taken fails first: the quantity that is not finite ("the radiance",
+/// "the gradient"), the pixel if it is one's, and the parameter that it is traced to ("light lobe
+/// 3", "the albedo of texel 517").
 type BadStep = (&'static str, Option<PixelOf>, String);
 
 /// Counts the steps that were taken back, over all fits of a run.
@@ -54,7 +59,8 @@ pub struct StepGuard {
 }
 
 impl StepGuard {
-    /// Notes what is not finite, and the parameter that it is traced to; the first of a step counts.
+    /// Notes what is not finite, and the parameter that it is traced to; the first of a step
+    /// counts.
     pub fn find(&mut self, what: &'static str, pixel: Option<PixelOf>, parameter: impl Into<String>) {
         self.bad_step.get_or_insert((what, pixel, parameter.into()));
     }
@@ -66,7 +72,8 @@ pub fn step_is_sound(guard: Option<Res<StepGuard>>) -> bool {
 }
 
 fn is_sound(values: &[f32], largest: f32) -> bool {
-    // Not `all`, whose early exit keeps the loop from being a vector loop; comparisons with NaN are false.
+    // Not `all`, whose early exit keeps the loop from being a vector loop; comparisons with NaN are
+    // false.
     values.iter().fold(true, |sound, value| sound & (value.abs() <= largest))
 }
 
@@ -277,7 +284,8 @@ fn check_texels<T: Component + Copy>(world: &mut World, what: &str, is_finite: f
     check_all(&format!("the {what} of texel"), read_column::<TexelIndex, T>(world)?.iter().map(is_finite))
 }
 
-/// Checks numbers of a surface that was found, such as values of a field or coordinates of vertices, before any of it is written.
+/// Checks numbers of a surface that was found, such as values of a field or coordinates of
+/// vertices, before any of it is written.
 ///
 /// # Errors
 /// [`Error::Run`] that names the first that is not finite: `what` and its place.

@@ -1,7 +1,9 @@
-//! The initialization of a fit: solves alternately for amplitudes and albedo, starting from gray albedo and uniform light.
+//! The initialization of a fit: solves alternately for amplitudes and albedo, starting from gray
+//! albedo and uniform light.
 //!
-//! For fixed axes and sharpness, radiance is linear in the amplitudes of the lobes, and for fixed light it is linear in the albedo. Once the
-//! amplitudes of uniformly distributed lobes are known, lobes with very little power are moved to resolve the bright parts: like split and merge in
+//! For fixed axes and sharpness, radiance is linear in the amplitudes of the lobes, and for fixed
+//! light it is linear in the albedo. Once the amplitudes of uniformly distributed lobes are known,
+//! lobes with very little power are moved to resolve the bright parts: like split and merge in
 //! [`fit_map`](lobelia_world::light::map_fit), with photographs in place of the map.
 
 use crate::fit::{components::Unknowns, groups::exchange_light, loss::radiance};
@@ -55,8 +57,9 @@ const MOVES: usize = 1;
 /// Points whose visibility is in memory at a time.
 const LIT_AT_ONCE: usize = 1 << 16;
 
-/// Solves alternately for amplitudes and albedo, where they are unknown, starting from gray, with the closed form `form`; if `shadowed`,
-/// with occlusion and interreflection from [`ObjectVisibility`]. The light stands still in the world's [`PlacedFrame`].
+/// Solves alternately for amplitudes and albedo, where they are unknown, starting from gray, with
+/// the closed form `form`; if `shadowed`, with occlusion and interreflection from
+/// [`ObjectVisibility`]. The light stands still in the world's [`PlacedFrame`].
 pub(crate) fn initialize_light_and_albedo(
     world: &mut World,
     unknowns: Unknowns,
@@ -114,7 +117,8 @@ pub(crate) struct Known {
     pub placement: Option<Placement>,
 }
 
-/// Calls `run` with the data of the initialization of each group of photographs, in order; the first are those under the scene's own light.
+/// Calls `run` with the data of the initialization of each group of photographs, in order; the
+/// first are those under the scene's own light.
 pub(crate) fn with_initialization<T>(
     world: &mut World,
     known: Known,
@@ -182,8 +186,9 @@ fn alternate(
     Ok(())
 }
 
-/// The pixels on a part of the surface, about [`PART_PIXELS`]: all that see it, so that its texels are known as well as if all of the surface
-/// were looked at. `None` if there are not twice as many in all.
+/// The pixels on a part of the surface, about [`PART_PIXELS`]: all that see it, so that its texels
+/// are known as well as if all of the surface were looked at. `None` if there are not twice as many
+/// in all.
 fn part_of_surface(all: &[Observation]) -> Option<Vec<Observation>> {
     let every = (all.len() / PART_PIXELS) as u32;
     if every < 2 {
@@ -210,8 +215,9 @@ pub(super) fn extent(observations: &[Observation]) -> (Vec3, f32) {
     (low, (high - low).max_element().max(1e-6))
 }
 
-/// The base material of least roughness that a texel has: it shows best where the light is. (With the mean of two, the fitted roughness is farther from the truth.) As a
-/// spherical Gaussian, which does as well here as GGX in a third of the time.
+/// The base material of least roughness that a texel has: it shows best where the light is. (With
+/// the mean of two, the fitted roughness is farther from the truth.) As a spherical Gaussian, which
+/// does as well here as GGX in a third of the time.
 pub(super) fn least_rough(world: &mut World) -> SpecularLobe {
     let mut shown = [false; MAX_SPECULAR_LOBES];
     for blend in world.query::<&SpecularBlend>().iter(world) {
@@ -237,7 +243,8 @@ impl Initialization<'_> {
         alternate(std::slice::from_mut(self), std::slice::from_mut(lobes), texels)
     }
 
-    /// Solves for the amplitudes; `is_lit` if the lobes have some that explain the photographs already.
+    /// Solves for the amplitudes; `is_lit` if the lobes have some that explain the photographs
+    /// already.
     fn solve_light(&mut self, lobes: &mut [LightLobe], texels: &[Vec3], is_lit: bool) -> Result<()> {
         let _solving = info_span!("light").entered();
         let most = if self.known.in_part { PART_AMPLITUDE_PIXELS } else { AMPLITUDE_PIXELS };
@@ -246,7 +253,8 @@ impl Initialization<'_> {
         self.refresh(&columns, texels);
         let lit = self.lit(0..n, &columns, |point| point.texels.blend(texels))?;
         let observed = || self.observations[..n].iter().map(|observation| &observation.observed);
-        // In clipped channels it should be more than that of the photographs, if the light until now says so.
+        // In clipped channels it should be more than that of the photographs, if the light until
+        // now says so.
         let targets: Vec<Vec3> = if is_lit && observed().any(|observed| observed.saturated) {
             let shaded = lit.shade(self.known.form, &self.known.specular);
             observed().zip(&shaded).map(|(observed, layers)| observed.target(radiance(layers))).collect()
@@ -310,7 +318,8 @@ impl Initialization<'_> {
         Ok(Lit { lobes, points, rows, seen })
     }
 
-    /// Mean absolute difference between the first observed pixels and what this light and albedo show, over pixels and channels.
+    /// Mean absolute difference between the first observed pixels and what this light and albedo
+    /// show, over pixels and channels.
     pub fn error(&self, lobes: &[LightLobe], texels: &[Vec3]) -> Result<f32> {
         let n = self.observations.len().min(ERROR_PIXELS);
         let columns = LobeColumns::from_lobes(lobes.iter().map(Into::into));
@@ -351,15 +360,17 @@ impl Lit<'_> {
 const CHUNK: usize = 256;
 /// Lobes whose products are summed at once, in registers.
 const TILE: usize = 16;
-/// Responses below this count as none, because products of two such are subnormal numbers, with which processors are many times slower.
+/// Responses below this count as none, because products of two such are subnormal numbers, with
+/// which processors are many times slower.
 const TINY: f32 = 1e-18;
-/// Weight of the prior toward equal amplitudes, relative to the mean diagonal of the normal equations: it determines lobes that no pixel
-/// distinguishes.
+/// Weight of the prior toward equal amplitudes, relative to the mean diagonal of the normal
+/// equations: it determines lobes that no pixel distinguishes.
 const RIDGE: f64 = 1e-2;
 /// Most sweeps of the descent to the amplitudes.
 const SWEEPS: usize = 300;
 
-/// Responses of a chunk of points to unit lobes in one channel: [`TILE`] lobes of every point after each other, then the next lobes.
+/// Responses of a chunk of points to unit lobes in one channel: [`TILE`] lobes of every point after
+/// each other, then the next lobes.
 type Responses = Vec<[f32; TILE]>;
 
 /// A chunk of points: its responses and targets of each channel.
@@ -368,8 +379,9 @@ struct Rows {
     targets: [Vec<f32>; 3],
 }
 
-/// Non-negative amplitudes of the lobes (whose own are ignored) that fit the radiance `targets` at `points` best in the least-squares sense,
-/// given the albedo in `points`, the specular material and the visibility.
+/// Non-negative amplitudes of the lobes (whose own are ignored) that fit the radiance `targets` at
+/// `points` best in the least-squares sense, given the albedo in `points`, the specular material
+/// and the visibility.
 fn solve_amplitudes(
     form: ClosedForm,
     points: &[ShadePoint],
@@ -394,7 +406,8 @@ fn solve_amplitudes(
             let (irradiance, glossy) = value.split_at(stride);
             for (c, glossy) in glossy.chunks_exact(stride).enumerate() {
                 let diffuse = points[n].albedo[c] * FRAC_1_PI;
-                // The visibility of a lobe approximates the visibility of its specular light, and does not need the amplitudes.
+                // The visibility of a lobe approximates the visibility of its specular light, and
+                // does not need the amplitudes.
                 let part = |i: usize| parts.map_or(1.0, |parts| f32::from(parts[i]) / 255.0);
                 for i in 0..lobes.len() {
                     let response = (diffuse * irradiance[i] + glossy[i]) * part(i);
@@ -413,7 +426,8 @@ fn solve_amplitudes(
     (0..lobes.len()).map(|i| Vec3::from_array(std::array::from_fn(|c| solved[c][i] as f32))).collect()
 }
 
-/// The normal equations of one channel: the symmetric matrix row by row, and the right side. Products of lobes are summed in f32 over a chunk, all else in f64.
+/// The normal equations of one channel: the symmetric matrix row by row, and the right side.
+/// Products of lobes are summed in f32 over a chunk, all else in f64.
 fn normal_equations(rows: &[Rows], channel: usize, n: usize) -> (Vec<f64>, Vec<f64>) {
     let mut matrix = vec![0.0; n * n];
     let mut right = vec![0.0; n];
@@ -476,8 +490,10 @@ fn solve(mut matrix: Vec<f64>, right: &[f64], ridge: f64) -> Vec<f64> {
     x
 }
 
-/// Each texel's least-squares albedo given the light: `pixels` are samples with their radiance if the albedo were 1, `before` the albedo until now, with which clipped
-/// samples are brighter than they are seen or not. Texels with few samples are drawn to `prior`. Results are in `[0.02, 0.98]`.
+/// Each texel's least-squares albedo given the light: `pixels` are samples with their radiance if
+/// the albedo were 1, `before` the albedo until now, with which clipped samples are brighter than
+/// they are seen or not. Texels with few samples are drawn to `prior`. Results are in
+/// `[0.02, 0.98]`.
 fn solve_albedo<'a>(
     pixels: impl Iterator<Item = (&'a Observation, &'a Layers)>,
     before: &[Vec3],
@@ -513,10 +529,11 @@ const MOST: f32 = 0.25;
 /// A lobe sharper than this is not split, because photographs do not resolve more.
 const SHARPEST: f32 = 400.0;
 
-/// Removes up to a quarter of the lobes, the faintest, and for each splits one of the brightest in two; the total power stays the same.
+/// Removes up to a quarter of the lobes, the faintest, and for each splits one of the brightest in
+/// two; the total power stays the same.
 ///
-/// A lobe of sharpness λ becomes two of sharpness 2λ, half a standard deviation (1/√λ) to either side on a great circle, so
-/// that together they are as wide as the original.
+/// A lobe of sharpness λ becomes two of sharpness 2λ, half a standard deviation (1/√λ) to either
+/// side on a great circle, so that together they are as wide as the original.
 fn move_lobes_to_the_light(lobes: &mut [LightLobe]) {
     let total: f32 = lobes.iter().map(power).sum();
     if total <= 0.0 || total.is_nan() {
@@ -577,7 +594,8 @@ mod tests {
         assert!(times.iter().all(|times| [0, 3].contains(times)));
     }
 
-    /// Chunks of 200 points in all, of which each sees `response(point, lobe)` of a lobe in every channel, and shows what the amplitudes `truth` make of it.
+    /// Chunks of 200 points in all, of which each sees `response(point, lobe)` of a lobe in every
+    /// channel, and shows what the amplitudes `truth` make of it.
     fn rows(truth: &[f32], response: impl Fn(usize, usize) -> f32) -> Vec<Rows> {
         let chunk = |points: Range<usize>| {
             let mut responses = vec![[0.0; TILE]; truth.len().div_ceil(TILE) * points.len()];

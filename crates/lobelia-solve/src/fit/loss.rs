@@ -1,4 +1,5 @@
-//! The image loss and its adjoint; how a fit explains each photograph, from its last visit to every pixel: what a report names views by.
+//! The image loss and its adjoint; how a fit explains each photograph, from its last visit to every
+//! pixel: what a report names views by.
 
 use crate::fit::exposure::Exposures;
 use bevy_ecs::prelude::{Res, ResMut, Resource, With, World};
@@ -59,7 +60,8 @@ pub(crate) fn radiance(layers: &Layers) -> Vec3 {
     Vec3::from(layers.diffuse) + Vec3::from(layers.specular)
 }
 
-/// Writes the adjoint of the mean loss over these pixels and returns their sums. `exposure` are the exposure factors of a pixel's photograph.
+/// Writes the adjoint of the mean loss over these pixels and returns their sums. `exposure` are the
+/// exposure factors of a pixel's photograph.
 pub fn image_loss(
     loss: Loss,
     shaded: &[Layers],

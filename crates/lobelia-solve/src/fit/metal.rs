@@ -1,8 +1,11 @@
-//! Metal beside a dielectric: what is known of the two base materials that a fit may choose by itself ([`Unknowns::metal`]).
+//! Metal beside a dielectric: what is known of the two base materials that a fit may choose by
+//! itself ([`Unknowns::metal`]).
 //!
-//! Metal reflects at its surface, in a color of its own, and has no diffuse light beneath; a dielectric such as paint, wood or glaze reflects a few
-//! percent of the light there, gray. A fit that does not know this shows gold as silver under a golden light, over a diffuse layer that holds
-//! what its reflections do not explain: the photographs look the same, and no other light does.
+//! Metal reflects at its surface, in a color of its own, and has no diffuse light beneath; a
+//! dielectric such as paint, wood or glaze reflects a few percent of the light there, gray. A fit
+//! that does not know this shows gold as silver under a golden light, over a diffuse layer that
+//! holds what its reflections do not explain: the photographs look the same, and no other light
+//! does.
 
 use crate::fit::components::{StepRates, Unknowns};
 use crate::fit::roughness::TexelPlaces;
@@ -17,17 +20,19 @@ use rayon::prelude::*;
 
 /// The specular albedo of dielectrics: water has 0.02, glass and varnish 0.04, dense glaze 0.08.
 pub const DIELECTRIC_ALBEDO: (f32, f32) = (0.02, 0.08);
-/// The largest channel of a metal's specular albedo, toward which that of the brightest metal is drawn: silver has 0.97, copper and gold 0.95 to
-/// 1, brass 0.9, but iron 0.56.
+/// The largest channel of a metal's specular albedo, toward which that of the brightest metal is
+/// drawn: silver has 0.97, copper and gold 0.95 to 1, brass 0.9, but iron 0.56.
 const USUAL_METAL: f32 = 0.95;
-/// Part of the diffuse albedo beneath metal that goes with each step, times the square of the metal's weight and relative to the rate of the albedo: what the
-/// bound leaves of it while the weights are still undecided.
+/// Part of the diffuse albedo beneath metal that goes with each step, times the square of the
+/// metal's weight and relative to the rate of the albedo: what the bound leaves of it while the
+/// weights are still undecided.
 const DECAY: f32 = 0.15;
 /// Specular albedos up to which a base material is a dielectric, and from which on it is metal.
 const BETWEEN: (f32, f32) = (0.2, 0.4);
 /// How metallic a base material must be for its brightness to tell that of the light.
 const CERTAIN: f32 = 0.5;
-/// Weight of the prior that what is not metal has the usual albedo, relative to that of a usual metal: of metals the specular albedo is known to a fifth or so.
+/// Weight of the prior that what is not metal has the usual albedo, relative to that of a usual
+/// metal: of metals the specular albedo is known to a fifth or so.
 const ALBEDO_PRIOR: f32 = 0.15;
 
 /// How metallic each base material is, by number; 0 of all where a fit knows nothing of metal.
@@ -69,8 +74,9 @@ impl Metals {
         self.metalness.iter().zip(weights).map(|(metal, weight)| metal * weight).sum()
     }
 
-    /// The part of the specular light of each channel, about, that is from metals whose specular albedo is at least `bound` in the channel: by
-    /// specular albedo and weight of the base materials.
+    /// The part of the specular light of each channel, about, that is from metals whose specular
+    /// albedo is at least `bound` in the channel: by specular albedo and weight of the base
+    /// materials.
     pub fn specular_share(&self, bound: f32, weights: &[f32; MAX_SPECULAR_LOBES]) -> Vec3 {
         let (mut part, mut all) = (Vec3::ZERO, Vec3::ZERO);
         for ((metal, albedo), weight) in self.metalness.iter().zip(&self.albedo).zip(weights) {
@@ -81,8 +87,9 @@ impl Metals {
         part / all.max(Vec3::splat(f32::MIN_POSITIVE))
     }
 
-    /// Derivative of a prior with respect to the logarithm of the light's level, where `share` of the photographs shows metal and the rest has
-    /// the mean albedo `rest`: metal is as bright as metals are, and the rest has the usual albedo. 0 without a base material that is metal.
+    /// Derivative of a prior with respect to the logarithm of the light's level, where `share` of
+    /// the photographs shows metal and the rest has the mean albedo `rest`: metal is as bright as
+    /// metals are, and the rest has the usual albedo. 0 without a base material that is metal.
     pub fn level_derivative(&self, share: f32, rest: f32) -> f32 {
         let metals = self.metalness.iter().zip(&self.albedo).filter(|(metal, _)| **metal >= CERTAIN);
         let most = metals.map(|(_, albedo)| albedo.max_element()).fold(0.0, f32::max);
@@ -93,7 +100,8 @@ impl Metals {
             + ALBEDO_PRIOR * (1.0 - share) * (USUAL_ALBEDO / rest.max(1e-3)).ln()
     }
 
-    /// The largest diffuse albedo of a surface: none reflects more than it receives, and metal reflects all of it at its surface.
+    /// The largest diffuse albedo of a surface: none reflects more than it receives, and metal
+    /// reflects all of it at its surface.
     pub fn most_diffuse(&self, weights: &[f32; MAX_SPECULAR_LOBES]) -> f32 {
         (1.0 - self.share(weights)).clamp(0.0, 1.0)
     }
@@ -105,13 +113,14 @@ pub fn metalness(lobe: &SpecularLobe) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Whether a base material with this number is a dielectric in a fit that knows of metal: all but the first are.
+/// Whether a base material with this number is a dielectric in a fit that knows of metal: all but
+/// the first are.
 pub(crate) fn is_dielectric(unknowns: &Unknowns, number: BaseMaterial) -> bool {
     unknowns.metal && number.0 > 0
 }
 
-/// Update: no texel keeps a diffuse albedo beneath metal: it is bound, and decays. Only where blends move as well, for else nothing tells metal from the
-/// rest.
+/// Update: no texel keeps a diffuse albedo beneath metal: it is bound, and decays. Only where
+/// blends move as well, for else nothing tells metal from the rest.
 pub fn bound_diffuse_albedo(
     (unknowns, rates): (Res<Unknowns>, Res<StepRates>),
     places: Res<TexelPlaces>,
@@ -161,7 +170,8 @@ mod tests {
         assert!((metalness(&dark) - 0.5).abs() < 1e-6);
         let metals = Metals::of([(0, &GOLD), (1, &VARNISH)]);
         assert_eq!(metals.share(&weights(0.25)), 0.25);
-        // A quarter of gold and three quarters of varnish: 0.25 of 0.25 + 0.03, 0.175 of 0.205, 0.075 of 0.105.
+        // A quarter of gold and three quarters of varnish: 0.25 of 0.25 + 0.03, 0.175 of 0.205,
+        // 0.075 of 0.105.
         let share = metals.specular_share(0.0, &weights(0.25));
         assert!((share - Vec3::new(0.892857, 0.853659, 0.714286)).length() < 1e-5, "{share}");
         assert_eq!(metals.specular_share(0.95, &weights(0.25)), Vec3::new(share.x, 0.0, 0.0));

@@ -1,5 +1,5 @@
-//! The Prepare phase: every usable foreground pixel of the training views becomes one row of the pool of observed pixels, traced once.
-//! Each step then takes some of them into the samples.
+//! The Prepare phase: every usable foreground pixel of the training views becomes one row of the
+//! pool of observed pixels, traced once. Each step then takes some of them into the samples.
 
 use crate::fit::{components::TexelSeen, groups::groups_of_views};
 use bevy_ecs::prelude::{Query, Res, Resource, With, World};
@@ -55,7 +55,8 @@ pub(super) fn usable_pixels(world: &mut World, of: ViewIndex, every: usize) -> V
     chosen.flat_map(|view| view.usable().step_by(every)).collect()
 }
 
-/// Runs Prepare, unless the pool that it would make of the photographs is there; returns the number of pixels.
+/// Runs Prepare, unless the pool that it would make of the photographs is there; returns the number
+/// of pixels.
 ///
 /// # Errors
 /// If there is no pixel to fit to.
@@ -69,7 +70,8 @@ pub(super) fn make_pool(pipeline: &mut Pipeline) -> Result<usize> {
     Ok(pipeline.world.resource::<ObservedWindow>().0.len())
 }
 
-/// Whether the pool holds the same choice of pixels, seen by the same cameras on the same surface. Its whole is then the window.
+/// Whether the pool holds the same choice of pixels, seen by the same cameras on the same surface.
+/// Its whole is then the window.
 fn pool_holds(world: &mut World) -> bool {
     let cameras = cameras_in_order(world);
     let (choice, scenery) = (*world.resource::<PixelChoice>(), world.resource::<Scenery>().0.clone());
@@ -97,7 +99,8 @@ fn cameras_in_order(world: &mut World) -> Vec<(ViewIndex, Camera)> {
     cameras
 }
 
-/// Trace: casts the rays of pixels that it chooses; those that meet the front of the surface become the pool of observed pixels.
+/// Trace: casts the rays of pixels that it chooses; those that meet the front of the surface become
+/// the pool of observed pixels.
 pub fn trace_pixels(world: &mut World) -> SystemResult {
     let choice = *world.resource::<PixelChoice>();
     let chosen = choose_pixels(world, choice)?;
@@ -188,7 +191,8 @@ pub(crate) fn spawn_samples(world: &mut World, batch: usize) {
     world.spawn_batch((0..batch as u32).map(blank).collect::<Vec<_>>());
 }
 
-/// Sample: takes the observed pixels of this step into the samples, with rays through the cameras as they are now.
+/// Sample: takes the observed pixels of this step into the samples, with rays through the cameras
+/// as they are now.
 pub fn take_observations(
     taken: Res<ObservedWindow>,
     observations: Observations,
@@ -293,7 +297,8 @@ impl ObservedView<'_> {
         if self.mask.is_some_and(|mask| mask.coverage(pixel) < FULL_COVERAGE) {
             return false;
         }
-        // A non-finite pixel is read as black, an average of saturated pixels has no information, and no light glares in one view alone.
+        // A non-finite pixel is read as black, an average of saturated pixels has no information,
+        // and no light glares in one view alone.
         let brightest = self.photograph.radiance(pixel).max_element();
         brightest <= self.limit && (brightest >= SATURATION || !self.photograph.is_saturated(pixel))
     }
@@ -314,7 +319,8 @@ impl ObservedView<'_> {
     }
 }
 
-/// Pixels a texel from which chance gives each enough: shares then make the light slightly worse (`docs/research/fit.md`).
+/// Pixels a texel from which chance gives each enough: shares then make the light slightly worse
+/// (`docs/research/fit.md`).
 const ENOUGH_PER_TEXEL: usize = 4;
 /// Pixels that are drawn and traced for each that is chosen, where texels get their shares.
 const DRAWN: usize = 2;
@@ -353,12 +359,14 @@ fn any_of_all(training: &[ObservedView], choice: PixelChoice) -> Result<Vec<Pixe
 
 /// From so many times the pixels that may be chosen on, a part of them is looked at.
 const SPARSE: usize = 16;
-/// Strata that are tried first, to learn which part of the pixels is usable; and how many of them must be.
+/// Strata that are tried first, to learn which part of the pixels is usable; and how many of them
+/// must be.
 const TRIED: usize = 1 << 16;
 const LEAST_USABLE: usize = 256;
 
-/// About as many usable pixels as may be chosen, in a random order: one at random of each of as many equal strata as are needed, so that each
-/// view, and each part of it, has its share. `None` if they are so few that all should be looked at.
+/// About as many usable pixels as may be chosen, in a random order: one at random of each of as
+/// many equal strata as are needed, so that each view, and each part of it, has its share. `None`
+/// if they are so few that all should be looked at.
 ///
 /// Takes time by the number of chosen pixels, not of photographs.
 fn scattered(training: &[ObservedView], choice: PixelChoice) -> Option<Vec<PixelOf>> {
@@ -407,8 +415,9 @@ fn scattered(training: &[ObservedView], choice: PixelChoice) -> Option<Vec<Pixel
 /// The texel of a pixel that shows none.
 pub(super) const NO_TEXEL: u32 = u32::MAX;
 
-/// Marks those of the pixels with these texels that are kept, at most `most`: of each texel the first ones, up to a number that is the same for all texels,
-/// and one more of the first that have more. Pixels of [`NO_TEXEL`] are not kept.
+/// Marks those of the pixels with these texels that are kept, at most `most`: of each texel the
+/// first ones, up to a number that is the same for all texels, and one more of the first that have
+/// more. Pixels of [`NO_TEXEL`] are not kept.
 ///
 /// Takes time and memory by the number of pixels and the greatest texel.
 pub(super) fn kept_evenly(texels: &[u32], most: usize) -> Vec<bool> {
@@ -430,7 +439,8 @@ pub(super) fn kept_evenly(texels: &[u32], most: usize) -> Vec<bool> {
     texels.iter().map(keep).collect()
 }
 
-/// The greatest share for which no more than `most` are kept of so many of each texel, and what is left then.
+/// The greatest share for which no more than `most` are kept of so many of each texel, and what is
+/// left then.
 fn even_share(counts: &[u32], most: usize) -> (u32, usize) {
     let kept = |share: u32| counts.iter().map(|count| (*count).min(share) as usize).sum::<usize>();
     let (mut low, mut high) = (0, counts.iter().copied().max().unwrap_or(0));
@@ -505,7 +515,8 @@ mod tests {
         assert_eq!(make_pool(&mut pipeline).unwrap(), 10);
         let seen = |world: &mut World| world.query::<&TexelSeen>().single(world).map(|seen| seen.0).unwrap();
         assert_eq!(seen(&mut pipeline.world), 10.0);
-        // A step narrows the window, and the next part of the fit begins with all, and with texels that nobody has seen.
+        // A step narrows the window, and the next part of the fit begins with all, and with texels
+        // that nobody has seen.
         pipeline.world.resource_mut::<ObservedWindow>().0 = 3..5;
         pipeline.world.query::<&mut TexelSeen>().single_mut(&mut pipeline.world).unwrap().0 = 0.0;
         assert_eq!(make_pool(&mut pipeline).unwrap(), 10);

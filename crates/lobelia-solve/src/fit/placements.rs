@@ -1,13 +1,17 @@
-//! Rotations of the object's [placements](lobelia_world::light::placement) as unknowns: those that were found move with the rest of a fit.
+//! Rotations of the object's [placements](lobelia_world::light::placement) as unknowns: those that
+//! were found move with the rest of a fit.
 //!
-//! A small rotation of the object in the room is one of all normals and views of its placement in the light's frame. Derivatives of the radiance are
-//! central differences, with shadows as they are; those are found anew later. Residuals have
-//! weights that minimize the sum of absolute differences.
+//! A small rotation of the object in the room is one of all normals and views of its placement in
+//! the light's frame. Derivatives of the radiance are central differences, with shadows as they
+//! are; those are found anew later. Residuals have weights that minimize the sum of absolute
+//! differences.
 //!
-//! Before that they are found from the photographs. The light is solved for from the photographs of the first placement, or is there already. A
-//! rotation of another placement turns the object under it, and the error is what no albedo explains of the photographs of both: a place that both
-//! see has one albedo. Rotations are tried all over their group (super-Fibonacci spirals; Alexa 2022, equation 7), then the best ones are improved by
-//! ever smaller steps, and once more under the light that the photographs of all placements have together.
+//! Before that they are found from the photographs. The light is solved for from the photographs of
+//! the first placement, or is there already. A rotation of another placement turns the object under
+//! it, and the error is what no albedo explains of the photographs of both: a place that both see
+//! has one albedo. Rotations are tried all over their group (super-Fibonacci spirals; Alexa 2022,
+//! equation 7), then the best ones are improved by ever smaller steps, and once more under the
+//! light that the photographs of all placements have together.
 
 use crate::fit::components::{StepRates, Unknowns};
 use crate::fit::initialization::{Initialization, Known, extent, least_rough, lobes_of, with_initialization};
@@ -70,7 +74,8 @@ impl TurnEquations {
         self.count += 1;
     }
 
-    /// The rotation vector that reduces the residuals most, not longer than [`LONGEST`]; zero if they say nothing.
+    /// The rotation vector that reduces the residuals most, not longer than [`LONGEST`]; zero if
+    /// they say nothing.
     fn step(&self) -> DVec3 {
         let trace = self.matrix.x_axis.x + self.matrix.y_axis.y + self.matrix.z_axis.z;
         let prior = PRIOR * trace / (3.0 * f64::from(self.count.max(1)));
@@ -87,7 +92,8 @@ impl TurnEquations {
 #[derive(Resource, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct TurnSums(Vec<TurnEquations>);
 
-/// The systems that turn placements whose rotation a fit has found, of an object in a light that stands still.
+/// The systems that turn placements whose rotation a fit has found, of an object in a light that
+/// stands still.
 pub struct PlacementPlugin(pub ClosedForm);
 
 impl Plugin for PlacementPlugin {
@@ -114,7 +120,8 @@ type TurnColumns = (
     &'static PixelOf,
 );
 
-/// Gradient: adds the residuals of the window to the normal equations of its placements, shaded with this closed form.
+/// Gradient: adds the residuals of the window to the normal equations of its placements, shaded
+/// with this closed form.
 pub fn sum_turns(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
     let system =
         move |(light, materials, exposures): (Res<IncidentLight>, Res<BaseMaterials>, Res<Exposures>),
@@ -170,7 +177,8 @@ fn derivatives(points: &[ShadePoint], shade: &dyn Fn(&[ShadePoint]) -> Vec<Layer
     })
 }
 
-/// Update: every `TURN_EVERY` steps, a Gauss–Newton step of each rotation that was found; resets the sums.
+/// Update: every `TURN_EVERY` steps, a Gauss–Newton step of each rotation that was found; resets
+/// the sums.
 pub fn turn_placements(rates: Res<StepRates>, mut sums: ResMut<TurnSums>, mut turns: ResMut<Placements>) {
     if !rates.step.is_multiple_of(TURN_EVERY) {
         return;
@@ -190,15 +198,17 @@ const ROTATIONS: usize = 720;
 const IMPROVED: usize = 12;
 /// Pixels of a placement with which rotations are tried first, and with which the best is improved.
 const PIXELS: [usize; 2] = [6_000, 40_000];
-/// First and last step of the improvement of many, of the best, and of one that was found in the round before; degrees.
+/// First and last step of the improvement of many, of the best, and of one that was found in the
+/// round before; degrees.
 const STEPS: [[f32; 2]; 3] = [[10.0, 1.0], [1.0, 0.05], [3.0, 0.05]];
 /// Cells along the longest side of the object; the pixels in one have one albedo.
 const CELLS: f32 = 96.0;
 /// Rounds of light and then rotations, of which the first has the light of the first placement.
 const ROUNDS: usize = 3;
 
-/// Finds the rotations of placements that are not known, of an object in a light whose frame is known. A light that stands before the camera does not
-/// mind how the object lies; then nothing is found.
+/// Finds the rotations of placements that are not known, of an object in a light whose frame is
+/// known. A light that stands before the camera does not mind how the object lies; then nothing is
+/// found.
 pub(crate) fn find_placements(world: &mut World, unknowns: Unknowns, form: ClosedForm) -> Result<()> {
     let PlacedFrame { frame, placements: Placements(turns) } = PlacedFrame::own(world);
     let is_open = |number: &usize| turns[*number].source == TurnSource::Unknown;
@@ -269,8 +279,8 @@ pub(super) fn camera_axes(world: &mut World, placement: Placement) -> Vec<Mat3> 
     of.map(|(camera, _)| Mat3::from(camera.world_from_camera.matrix3)).collect()
 }
 
-/// Sums over the pixels in a cell, for each channel: squares of the diffuse light of a white surface, its products with what is not specular of the
-/// photographs, and the squares of that.
+/// Sums over the pixels in a cell, for each channel: squares of the diffuse light of a white
+/// surface, its products with what is not specular of the photographs, and the squares of that.
 #[derive(Clone, Copy, Debug, Default)]
 struct CellSums([[f64; 3]; 3]);
 
@@ -394,7 +404,8 @@ impl Aligned {
         Ok(self.improved(best, STEPS[1], PIXELS[1]).0)
     }
 
-    /// A rotation of less error near this one, by steps about three axes from one angle down to another in degrees.
+    /// A rotation of less error near this one, by steps about three axes from one angle down to
+    /// another in degrees.
     fn improved(&self, start: Quat, [first, last]: [f32; 2], most: usize) -> (Quat, f64) {
         let mut best = (start, self.error(start, most));
         let mut step = first;
@@ -417,8 +428,8 @@ impl Aligned {
     }
 }
 
-/// The cell of an observation: its place in a grid, and the octant of its normal, so that the two sides of what is thin differ. Numbers are mixed:
-/// their order is random.
+/// The cell of an observation: its place in a grid, and the octant of its normal, so that the two
+/// sides of what is thin differ. Numbers are mixed: their order is random.
 fn cells(observations: &[Observation]) -> impl Fn(&Observation) -> u64 {
     let (low, longest) = extent(observations);
     let side = longest / CELLS;

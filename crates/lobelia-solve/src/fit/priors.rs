@@ -1,11 +1,15 @@
-//! Priors on albedo and normals from elsewhere: maps of the photographs ([`AlbedoMap`], [`NormalMap`]).
+//! Priors on albedo and normals from elsewhere: maps of the photographs ([`AlbedoMap`],
+//! [`NormalMap`]).
 //!
-//! Light and albedo explain each other: photographs determine their product far better than either. A map of the albedo tells them apart, if
-//! its errors are smaller than those that the light would make. A fit begins from the maps' mean on each texel (`fuse`) with the light that
-//! suits it; the rule [`Highlights`](ScaleRule::Highlights) gives way to their mean color; the photographs then move each texel. (With maps that err as
-//! a network does, holding the texels to them by a term in the loss as well made every score worse.)
+//! Light and albedo explain each other: photographs determine their product far better than either.
+//! A map of the albedo tells them apart, if its errors are smaller than those that the light would
+//! make. A fit begins from the maps' mean on each texel (`fuse`) with the light that suits it; the
+//! rule [`Highlights`](ScaleRule::Highlights) gives way to their mean color; the photographs then
+//! move each texel. (With maps that err as a network does, holding the texels to them by a term in
+//! the loss as well made every score worse.)
 //!
-//! Normals pull a surface that moves: the loss of a pixel is the weight times Huber's function of n − n′, with the normal n and that of the map n′.
+//! Normals pull a surface that moves: the loss of a pixel is the weight times Huber's function of n
+//! − n′, with the normal n and that of the map n′.
 
 use crate::fit::guard::{check_adjoints, step_is_sound};
 use crate::fit::{components::TexelSeen, scale::ScaleRule};
@@ -73,7 +77,8 @@ pub fn pull_to_normal_maps(
     Ok(())
 }
 
-/// The gradient of Huber's function of the length x of a difference, x²/2s below s = [`SQUARE_BELOW`] and x − s/2 above.
+/// The gradient of Huber's function of the length x of a difference, x²/2s below s =
+/// [`SQUARE_BELOW`] and x − s/2 above.
 fn huber_slope(difference: Vec3) -> Vec3 {
     difference / difference.length().max(SQUARE_BELOW)
 }
@@ -81,7 +86,8 @@ fn huber_slope(difference: Vec3) -> Vec3 {
 /// A pixel with what its map says of it.
 type MapPixel = (ViewIndex, TexelAddress, Vec3);
 
-/// The mean of the maps on each texel, each map times the factor by which it agrees with the others best; the geometric mean of the factors is
+/// The mean of the maps on each texel, each map times the factor by which it agrees with the others
+/// best; the geometric mean of the factors is
 /// 1. A texel that no map shows has the mean of all.
 fn fuse(pixels: &[MapPixel], texels: usize) -> Vec<Vec3> {
     let views = pixels.iter().map(|(view, ..)| view.0 as usize + 1).max().unwrap_or(0);
@@ -121,9 +127,11 @@ fn texel_means(pixels: &[MapPixel], factors: &[f32], texels: usize) -> Vec<Vec3>
     sums.into_iter().map(|(sum, weight)| if weight > 1e-3 { sum / weight } else { mean }).collect()
 }
 
-/// Lets the mean color of the maps of the albedo take the place of [`Highlights`](ScaleRule::Highlights) as the rule for the scale of a fit of light
-/// and albedo (but with metals, of which maps show a color of another meaning). One that `begins` them anew begins from the maps: its texels
-/// have their albedo at a usual level. Returns whether there are maps.
+/// Lets the mean color of the maps of the albedo take the place of
+/// [`Highlights`](ScaleRule::Highlights) as the rule for the scale of a fit of light and albedo
+/// (but with metals, of which maps show a color of another meaning). One that `begins` them anew
+/// begins from the maps: its texels have their albedo at a usual level. Returns whether there are
+/// maps.
 pub(super) fn follow_maps(world: &mut World, metal: bool, begins: bool) -> Result<bool> {
     let pixels = map_pixels(world);
     if pixels.is_empty() {
@@ -144,7 +152,8 @@ pub(super) fn follow_maps(world: &mut World, metal: bool, begins: bool) -> Resul
     Ok(true)
 }
 
-/// The mean of the albedo of texels that are seen, and the factor that makes it a usual one while the brightest but for a few stay below 1.
+/// The mean of the albedo of texels that are seen, and the factor that makes it a usual one while
+/// the brightest but for a few stay below 1.
 fn usual_mean(shown: &[Vec3]) -> (Vec3, f32) {
     let sum: DVec3 = shown.iter().map(|albedo| albedo.as_dvec3()).sum();
     let mean = (sum / shown.len().max(1) as f64).as_vec3().max(Vec3::splat(1e-4));

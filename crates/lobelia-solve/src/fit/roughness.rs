@@ -1,11 +1,15 @@
-//! Roughness that varies over the surface: a few base materials, blended per texel with weights that are fitted.
+//! Roughness that varies over the surface: a few base materials, blended per texel with weights
+//! that are fitted.
 //!
-//! Weights are a softmax of logits (Zhou et al. 2016 fit base materials likewise). A texel shows its roughness only in the few views that
-//! mirror a bright light, so logits move together: the gradient is averaged over a lattice around the surface whose cells shrink
-//! during the fit, so that regions get sharp boundaries where the photographs show them. With one base material these systems have no effect.
+//! Weights are a softmax of logits (Zhou et al. 2016 fit base materials likewise). A texel shows
+//! its roughness only in the few views that mirror a bright light, so logits move together: the
+//! gradient is averaged over a lattice around the surface whose cells shrink during the fit, so
+//! that regions get sharp boundaries where the photographs show them. With one base material these
+//! systems have no effect.
 //!
-//! Or each texel has a roughness of its own, and a factor on the specular albedo, with a smoothness prior: it blends the two nearest of several
-//! base materials of fixed roughness, so that shading does not depend on it. The systems replace [`move_blends`] and use the same lattice.
+//! Or each texel has a roughness of its own, and a factor on the specular albedo, with a smoothness
+//! prior: it blends the two nearest of several base materials of fixed roughness, so that shading
+//! does not depend on it. The systems replace [`move_blends`] and use the same lattice.
 
 use crate::fit::components::{AdamStep, Bounded, Moments, StepGradient, StepRates, Unknowns};
 use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
@@ -31,7 +35,8 @@ pub struct BlendGradient(pub PerMaterial);
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BlendMoments(pub Moments<MAX_SPECULAR_LOBES>);
 
-/// Positions of the texels, for the lattice over which their gradients are averaged. Blends move only if every texel has a position.
+/// Positions of the texels, for the lattice over which their gradients are averaged. Blends move
+/// only if every texel has a position.
 #[derive(Resource, Default)]
 pub struct TexelPlaces {
     /// World position of each texel; not finite for texels that no surface point reaches.
@@ -52,7 +57,8 @@ const LEAST_WEIGHT: f32 = 1e-3;
 /// Cells along the longest side of the object at the start and at the end of a fit.
 const CELLS: (f32, f32) = (8.0, 48.0);
 
-/// Gradient: adds the blend adjoints of the samples to their texels, in the order of [`SampleIndex`](lobelia_world::sample::pixel::SampleIndex).
+/// Gradient: adds the blend adjoints of the samples to their texels, in the order of
+/// [`SampleIndex`](lobelia_world::sample::pixel::SampleIndex).
 pub fn scatter_to_blends(
     materials: Res<BaseMaterials>,
     gradient: Res<StepGradient>,
@@ -112,7 +118,8 @@ fn logit_adjoint(weights: &PerMaterial, adjoint: &PerMaterial) -> PerMaterial {
     std::array::from_fn(|k| weights[k] * (adjoint[k] - mean))
 }
 
-/// Moves the logits of these base materials by −`step`; weights start from at least [`LEAST_WEIGHT`], and sum to one.
+/// Moves the logits of these base materials by −`step`; weights start from at least
+/// [`LEAST_WEIGHT`], and sum to one.
 fn move_blend(weights: &mut PerMaterial, numbers: &[usize], step: &PerMaterial) {
     for &k in numbers {
         weights[k] = weights[k].max(LEAST_WEIGHT) * (-step[k]).exp();
@@ -151,7 +158,8 @@ impl Lattice {
     }
 }
 
-/// Replaces each gradient by the mean of those around it: accumulated on a lattice of about `cells` cells per side and interpolated from it.
+/// Replaces each gradient by the mean of those around it: accumulated on a lattice of about `cells`
+/// cells per side and interpolated from it.
 fn average_over_cells(positions: &[Vec3], gradients: &mut [BlendGradient], cells: f32) {
     let Some(lattice) = Lattice::new(positions, cells) else { return };
     let mut sums = vec![(PerMaterial::default(), 0.0f32); lattice.size.element_product() as usize];
@@ -175,7 +183,8 @@ fn average_over_cells(positions: &[Vec3], gradients: &mut [BlendGradient], cells
     });
 }
 
-/// Roughnesses of the base materials. A blend of two neighbors is close to a lobe of a roughness between them.
+/// Roughnesses of the base materials. A blend of two neighbors is close to a lobe of a roughness
+/// between them.
 pub const BASE_ROUGHNESSES: [f32; 6] = [0.1, 0.15, 0.225, 0.3375, 0.506_25, 0.759_375];
 /// Difference of the logarithms of neighboring roughnesses, ln 1.5.
 const STEP: f32 = 0.405_465_1;
@@ -183,7 +192,8 @@ const STEP: f32 = 0.405_465_1;
 const FIRST_SHARE: f32 = 0.8;
 /// The prior is quadratic for differences of logarithms well below this, and linear above.
 const KINK: f32 = 0.02;
-/// Neighbors in the texture are neighbors on the surface if their distance is below this many mean distances.
+/// Neighbors in the texture are neighbors on the surface if their distance is below this many mean
+/// distances.
 const NEAR: f32 = 3.0;
 
 /// Roughness of a texel.
@@ -213,7 +223,8 @@ impl TexelRoughness {
         (below, (at - below as f32).clamp(0.0, 1.0))
     }
 
-    /// Blend weights of the base materials: hat functions of the logarithm of roughness, times `share`.
+    /// Blend weights of the base materials: hat functions of the logarithm of roughness, times
+    /// `share`.
     pub fn weights(&self) -> PerMaterial {
         let (below, part) = self.place();
         let mut weights = PerMaterial::default();
@@ -222,7 +233,8 @@ impl TexelRoughness {
         weights
     }
 
-    /// Adjoints of the logarithm of roughness and of the logit of `share`, given those of the weights.
+    /// Adjoints of the logarithm of roughness and of the logit of `share`, given those of the
+    /// weights.
     fn adjoint_of(&self, adjoint: &PerMaterial) -> [f32; 2] {
         let (below, part) = self.place();
         let (low, high) = (adjoint[below], adjoint[below + 1]);
@@ -244,9 +256,11 @@ pub struct RoughnessMoments(Moments<2>);
 /// The smoothness prior between neighboring texels.
 #[derive(Resource, Clone, Debug, Default)]
 pub struct RoughnessPrior {
-    /// Weight ≥ 0, relative to the image loss, of the mean over neighbors of the differences of the logarithms of roughness and `share`.
+    /// Weight ≥ 0, relative to the image loss, of the mean over neighbors of the differences of the
+    /// logarithms of roughness and `share`.
     pub smoothness: f32,
-    /// Difference of chromaticity (albedo over its sum) > 0 at which the prior has half the weight that it has for neighbors of equal color.
+    /// Difference of chromaticity (albedo over its sum) > 0 at which the prior has half the weight
+    /// that it has for neighbors of equal color.
     pub color_width: f32,
     /// Whether `share` varies.
     pub varied_specular: bool,
@@ -255,7 +269,8 @@ pub struct RoughnessPrior {
 }
 
 impl RoughnessPrior {
-    /// The prior for the texels of an atlas: neighbors are side by side in the texture and near each other on the surface.
+    /// The prior for the texels of an atlas: neighbors are side by side in the texture and near
+    /// each other on the surface.
     pub fn new(atlas: &TexelAtlas, smoothness: f32, color_width: f32, varied_specular: bool) -> Self {
         let (width, height) = (atlas.width as usize, atlas.height as usize);
         let all = (0..width * height).flat_map(|i| {
@@ -313,7 +328,8 @@ pub fn attach_roughness(world: &mut World, roughness: f32, varied_specular: bool
     }
 }
 
-/// Update: sums the gradients of the specular albedo over all base materials, so that they keep one common albedo.
+/// Update: sums the gradients of the specular albedo over all base materials, so that they keep one
+/// common albedo.
 pub(crate) fn tie_specular(mut gradient: ResMut<StepGradient>) {
     let mut sum = [0.0; 3];
     gradient.specular.iter().for_each(|of| (0..3).for_each(|c| sum[c] += of.albedo[c]));

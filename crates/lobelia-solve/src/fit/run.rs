@@ -1,7 +1,7 @@
 //! Running a fit: prepare the pool, initialize, and take steps.
 //!
-//! Rates fall at the milestones, and before the first one a step visits fewer pixels. While rates are high the noise of few pixels does no
-//! harm; later it would stay in the albedo.
+//! Rates fall at the milestones, and before the first one a step visits fewer pixels. While rates
+//! are high the noise of few pixels does no harm; later it would stay in the albedo.
 
 use crate::fit::cameras::{CameraFit, CameraPose};
 use crate::fit::components::{
@@ -89,11 +89,13 @@ pub struct FitOptions {
     pub unknowns: Unknowns,
     /// Which pixels are visited.
     pub pixels: PixelChoice,
-    /// Whether the pool of observed pixels stays for another part of the fit; then [`release_pool`] ends it.
+    /// Whether the pool of observed pixels stays for another part of the fit; then [`release_pool`]
+    /// ends it.
     pub keeps_pool: bool,
     /// Unknowns initialized from the data before the first step.
     pub initialize: Initialize,
-    /// Whether shading includes shadows and reflections; the world then needs an [`ObjectVisibility`].
+    /// Whether shading includes shadows and reflections; the world then needs an
+    /// [`ObjectVisibility`].
     pub visibility: bool,
     /// Whether the fit decides by itself if the surface has a sheen.
     pub looks_for_sheen: bool,
@@ -103,8 +105,8 @@ pub struct FitOptions {
     pub measures: bool,
     /// The rule for the scale between light and albedo, if both are unknown.
     pub scale: ScaleRule,
-    /// The frame in which the light stands still; `None`: found when the light is initialized, and kept after that.
-    /// `Some` replaces what the world has.
+    /// The frame in which the light stands still; `None`: found when the light is initialized, and
+    /// kept after that. `Some` replaces what the world has.
     pub light_frame: Option<LightFrame>,
 }
 
@@ -167,7 +169,8 @@ pub struct Done {
     pub is_pause: bool,
 }
 
-/// The unknowns that a fit initializes from the data before its first step; the others start from their current values.
+/// The unknowns that a fit initializes from the data before its first step; the others start from
+/// their current values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Initialize {
     /// The amplitudes of the light.
@@ -213,9 +216,11 @@ pub struct FitSummary {
     pub elapsed_secs: f64,
     /// Whether the caller stopped it early.
     pub stopped: bool,
-    /// Part of the squared residuals of views kept aside that a sheen explains, if the fit has decided about it.
+    /// Part of the squared residuals of views kept aside that a sheen explains, if the fit has
+    /// decided about it.
     pub explained_by_sheen: Option<f64>,
-    /// How well the photographs determine what was found; `None` before the end, with several base materials, and where exposures are unknown.
+    /// How well the photographs determine what was found; `None` before the end, with several base
+    /// materials, and where exposures are unknown.
     pub determined: Option<Determined>,
 }
 
@@ -292,11 +297,13 @@ fn own<R: Resource + Default>(world: &mut World, is_there: bool) {
     }
 }
 
-/// Runs a whole fit in the pipeline's world. `watch` is called after every step and may stop the fit.
+/// Runs a whole fit in the pipeline's world. `watch` is called after every step and may stop the
+/// fit.
 ///
 /// # Errors
-/// If there is nothing to fit to, or a system fails; [`Error::Interrupted`](lobelia_geometry::Error::Interrupted) if the run is stopped before
-/// the first step.
+/// If there is nothing to fit to, or a system fails;
+/// [`Error::Interrupted`](lobelia_geometry::Error::Interrupted) if the run is stopped before the
+/// first step.
 pub fn run_fit(
     pipeline: &mut Pipeline,
     options: &FitOptions,
@@ -379,8 +386,8 @@ fn fit(
     Ok(summary)
 }
 
-/// Whether a fit whose geometry stands still may pause after this step, to go on with the same bits: the next one computes
-/// shadows and reflections again, so that they need not be kept.
+/// Whether a fit whose geometry stands still may pause after this step, to go on with the same
+/// bits: the next one computes shadows and reflections again, so that they need not be kept.
 pub fn may_pause(world: &World, step: u32) -> bool {
     step.is_multiple_of(refresh_every(world))
 }
@@ -389,8 +396,8 @@ fn refresh_every(world: &World) -> u32 {
     world.get_resource::<ObjectVisibility>().map_or(1, |v| v.settings().refresh_every).max(1)
 }
 
-/// Gives a world the settings of a fit and its unknowns their gradients and moments, makes the pool and initializes; returns the number
-/// of pixels.
+/// Gives a world the settings of a fit and its unknowns their gradients and moments, makes the pool
+/// and initializes; returns the number of pixels.
 fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     let _preparing = info_span!("prepared").entered();
     let world = &mut pipeline.world;
@@ -507,12 +514,14 @@ pub fn optimizer() -> ScheduleConfigs<ScheduleSystem> {
 }
 
 /// Moves all that a fit may move, with one roughness per texel, which needs its
-/// [prior](crate::fit::roughness::RoughnessPrior) and [state](crate::fit::roughness::attach_roughness).
+/// [prior](crate::fit::roughness::RoughnessPrior) and
+/// [state](crate::fit::roughness::attach_roughness).
 pub fn optimizer_of_texel_roughness() -> ScheduleConfigs<ScheduleSystem> {
     (move_scale, move_texels, move_sheen, move_roughness, move_lobes, tie_specular, move_specular).chain()
 }
 
-/// Gives texels zero gradients, and texels, lobes and base materials zero moments where a fit begins; one that goes on has kept its own.
+/// Gives texels zero gradients, and texels, lobes and base materials zero moments where a fit
+/// begins; one that goes on has kept its own.
 fn attach(world: &mut World, sheen: bool, begins: bool) {
     let (texels, lobes) = (texels_in_order(world), entities::<FittedLobe>(world));
     let materials = entities::<With<SpecularLobe>>(world);

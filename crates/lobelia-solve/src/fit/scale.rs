@@ -1,14 +1,18 @@
-//! The scale between light and albedo: diffuse radiance does not change when the light is multiplied by one factor per channel and the albedo
-//! is divided by it.
+//! The scale between light and albedo: diffuse radiance does not change when the light is
+//! multiplied by one factor per channel and the albedo is divided by it.
 //!
-//! The highlights determine the color of that factor: the specular albedo of a dielectric is gray, so highlights have the color of the
-//! light. A change of the factor changes all lobes and texels together, and hardly anything except the highlights. Adam on single
-//! parameters is slow along this direction, so the factor is a separate parameter here. The level, the factor's mean over the channels, stays
-//! as in the initialization (a mean albedo of about 0.4), because only the Fresnel term distinguishes a bright light from a bright specular
-//! albedo. But no albedo is above one: where texels at that bound are darker than the photographs, color and level give way.
+//! The highlights determine the color of that factor: the specular albedo of a dielectric is gray,
+//! so highlights have the color of the light. A change of the factor changes all lobes and texels
+//! together, and hardly anything except the highlights. Adam on single parameters is slow along
+//! this direction, so the factor is a separate parameter here. The level, the factor's mean over
+//! the channels, stays as in the initialization (a mean albedo of about 0.4), because only the
+//! Fresnel term distinguishes a bright light from a bright specular albedo. But no albedo is above
+//! one: where texels at that bound are darker than the photographs, color and level give way.
 //!
-//! Metal ([`metal`](crate::fit::metal)) is colored itself, and its specular albedo is divided by the factor too. Its reflections then say nothing
-//! of the factor. What is not metal still has gray highlights; as far as all is metal, the light is taken to be nearly white, and the metal as bright as metals are.
+//! Metal ([`metal`](crate::fit::metal)) is colored itself, and its specular albedo is divided by
+//! the factor too. Its reflections then say nothing of the factor. What is not metal still has gray
+//! highlights; as far as all is metal, the light is taken to be nearly white, and the metal as
+//! bright as metals are.
 
 use crate::fit::components::{AdamStep, Moments, StepRates, TexelSeen, Unknowns};
 use crate::fit::metal::{Metals, metalness};
@@ -37,16 +41,20 @@ use std::ops::Range;
 pub enum ScaleRule {
     /// The light has the color of the highlights; the mean albedo starts from 0.4.
     Highlights {
-        /// Weight ≥ 0, relative to the image loss, of a prior that the light's mean radiance has the color of a lamp or a sky: that of a
-        /// black body of about 3 000 to 20 000 K, all of them alike; where a fit has found metal, white is preferred. It decides where highlights are weak. Default 0.002.
+        /// Weight ≥ 0, relative to the image loss, of a prior that the light's mean radiance has
+        /// the color of a lamp or a sky: that of a black body of about 3 000 to 20 000 K, all of
+        /// them alike; where a fit has found metal, white is preferred. It decides where highlights
+        /// are weak. Default 0.002.
         #[serde(default = "white_light")]
         white_light: f32,
     },
     /// The light's mean radiance over the sphere is gray; the mean albedo starts from 0.4.
     WhiteLight,
-    /// The mean albedo of the texels that are seen, but for metal, is this color, each channel in (0, 0.9]: `MeanAlbedo(0.5, 0.4, 0.3)`.
+    /// The mean albedo of the texels that are seen, but for metal, is this color, each channel in
+    /// (0, 0.9]: `MeanAlbedo(0.5, 0.4, 0.3)`.
     MeanAlbedo(Vec3),
-    /// No rule: the scale results from the fit of single texels and lobes, which starts from a mean albedo of gray 0.4.
+    /// No rule: the scale results from the fit of single texels and lobes, which starts from a mean
+    /// albedo of gray 0.4.
     Free,
 }
 
@@ -88,13 +96,16 @@ const START: f32 = 0.5;
 const MOST_ALBEDO: f32 = 0.98;
 /// Albedo from which a texel counts as being at its bound.
 const AT_BOUND: f32 = 0.95;
-/// Weight of a unit of logarithm by which the light is not white, relative to that of `white_light` and to the part of the photographs that shows metal. A
-/// metal's reflections have the product of its color and the light's, and photographs are balanced to white.
+/// Weight of a unit of logarithm by which the light is not white, relative to that of `white_light`
+/// and to the part of the photographs that shows metal. A metal's reflections have the product of
+/// its color and the light's, and photographs are balanced to white.
 const WHITE_BESIDE_METAL: f32 = 4.0;
-/// Weight, relative to the image loss, of the prior that the mean albedo is [`USUAL_ALBEDO`], per unit of its logarithm.
+/// Weight, relative to the image loss, of the prior that the mean albedo is [`USUAL_ALBEDO`], per
+/// unit of its logarithm.
 const LEVEL_WEIGHT: f32 = 0.016;
 
-/// Update: a step along the scale, or a projection onto the rule, if light and albedo are both unknown.
+/// Update: a step along the scale, or a projection onto the rule, if light and albedo are both
+/// unknown.
 pub fn move_scale(
     (rates, unknowns, rule): (Res<StepRates>, Res<Unknowns>, Res<ScaleRule>),
     mut moments: ResMut<ScaleMoments>,
@@ -157,7 +168,8 @@ struct ScaleEvidence<'a> {
 }
 
 impl ScaleEvidence<'_> {
-    /// Derivative of the loss and its priors with respect to the logarithm of the factor: its color (three channels with a mean of 0), its level.
+    /// Derivative of the loss and its priors with respect to the logarithm of the factor: its color
+    /// (three channels with a mean of 0), its level.
     fn gradient(&self, white_light: f32, off_gray: Vec3, mean_albedo: Vec3) -> Vec4 {
         let count = self.layers.len();
         let runs =
@@ -172,8 +184,9 @@ impl ScaleEvidence<'_> {
         without_mean(highlights + white_light * light + bound).extend(level)
     }
 
-    /// Sums over samples: derivatives of the loss with respect to the logarithm of the factor, of the specular light that has the color of the light and
-    /// of what cannot give way, because albedos are at their bound; and the part of each sample that is metal.
+    /// Sums over samples: derivatives of the loss with respect to the logarithm of the factor, of
+    /// the specular light that has the color of the light and of what cannot give way, because
+    /// albedos are at their bound; and the part of each sample that is metal.
     fn sums(&self, run: Range<usize>) -> ([DVec3; 2], f64) {
         let (mut highlights, mut bound, mut metal) = (DVec3::ZERO, DVec3::ZERO, 0.0);
         let are_none = self.metals.are_none();
@@ -194,7 +207,8 @@ impl ScaleEvidence<'_> {
     }
 }
 
-/// Moves an initialization from gray albedo part of the way to white light, for [`ScaleRule::Highlights`].
+/// Moves an initialization from gray albedo part of the way to white light, for
+/// [`ScaleRule::Highlights`].
 ///
 /// # Errors
 /// If the pool of texels is incomplete.
@@ -209,7 +223,8 @@ pub fn start_scale(world: &mut World, rule: ScaleRule) -> Result<()> {
     write_albedo(world, texels.into_iter().map(|texel| texel.0).collect())
 }
 
-/// The current scale: mean radiance of the light over the sphere, and mean albedo of the texels that are seen.
+/// The current scale: mean radiance of the light over the sphere, and mean albedo of the texels
+/// that are seen.
 ///
 /// # Errors
 /// If the pool of texels is incomplete.
@@ -233,41 +248,46 @@ fn rescaled_metal(log_factor: Vec3, lobe: SpecularLobe) -> SpecularLobe {
     SpecularLobe { albedo: albedo.min(Vec3::splat(MOST_ALBEDO)), ..lobe }
 }
 
-/// Derivative of the loss with respect to the logarithm of the factor, if the diffuse light of a sample does not change and its specular light is multiplied by
-/// the factor.
+/// Derivative of the loss with respect to the logarithm of the factor, if the diffuse light of a
+/// sample does not change and its specular light is multiplied by the factor.
 fn specular_derivative(layers: &Layers, adjoint: &RadianceAdjoint) -> DVec3 {
     (Vec3::from(layers.specular) * Vec3::from(adjoint.0)).as_dvec3()
 }
 
-/// Derivative of the loss with respect to the logarithm of the factor where the albedo of a sample is at its bound: it cannot give way to a
-/// darker light, and its diffuse radiance is multiplied by the factor.
+/// Derivative of the loss with respect to the logarithm of the factor where the albedo of a sample
+/// is at its bound: it cannot give way to a darker light, and its diffuse radiance is multiplied by
+/// the factor.
 fn bound_derivative(point: &ShadePoint, layers: &Layers, adjoint: &RadianceAdjoint) -> DVec3 {
     let at_bound = Vec3::from(point.albedo).cmpge(Vec3::splat(AT_BOUND));
     Vec3::select(at_bound, Vec3::from(layers.diffuse) * Vec3::from(adjoint.0), Vec3::ZERO).as_dvec3()
 }
 
-/// Derivative with respect to the logarithm of the level. Without texels that are too dark at their bound the level is left alone; with
-/// them, the usual mean albedo speaks against a few that no light should explain.
+/// Derivative with respect to the logarithm of the level. Without texels that are too dark at their
+/// bound the level is left alone; with them, the usual mean albedo speaks against a few that no
+/// light should explain.
 fn level_derivative(bound: Vec3, mean_albedo: Vec3) -> f32 {
     let darker = bound.element_sum().min(0.0);
     let prior = LEVEL_WEIGHT * (USUAL_ALBEDO / (mean_albedo.element_sum() / 3.0).max(1e-3)).ln();
     (darker + prior.max(0.0)).min(0.0)
 }
 
-/// Directions in the space of the three channels' logarithms: (red − blue)/√2 and (2 green − red − blue)/√6. In linear Rec. 709, black bodies
-/// from 3 200 to 15 000 K lie within 0.02 of the line green = 0.14 warm − 0.04, from −0.55 to 1.16 along `WARM`.
+/// Directions in the space of the three channels' logarithms: (red − blue)/√2 and (2 green − red −
+/// blue)/√6. In linear Rec. 709, black bodies from 3 200 to 15 000 K lie within 0.02 of the line
+/// green = 0.14 warm − 0.04, from −0.55 to 1.16 along `WARM`.
 const WARM: Vec3 = Vec3::new(std::f32::consts::FRAC_1_SQRT_2, 0.0, -std::f32::consts::FRAC_1_SQRT_2);
 const GREEN: Vec3 = Vec3::new(-0.408_248_3, 0.816_496_6, -0.408_248_3);
 const LINE: (f32, f32) = (0.14, -0.04);
 /// Lights along that line, and how far beside it they may be: all of these are equally usual.
 const USUAL_WARM: (f32, f32) = (-0.65, 1.3);
 const USUAL_GREEN: f32 = 0.08;
-/// Logarithm beyond what is usual over which the prior grows as a square; farther away it grows linearly.
+/// Logarithm beyond what is usual over which the prior grows as a square; farther away it grows
+/// linearly.
 const NEAR: f32 = 0.24;
 /// Weight of a unit of logarithm squared, relative to that across the line.
 const ALONG: f32 = 0.2;
 
-/// Derivative, with respect to the logarithm of the light's color, of a distance to the colors of lamps and skies; zero among them.
+/// Derivative, with respect to the logarithm of the light's color, of a distance to the colors of
+/// lamps and skies; zero among them.
 fn lamp_derivative(log_color: Vec3) -> Vec3 {
     let beyond =
         |x: f32, low: f32, high: f32| (x - x.clamp(low, high)).clamp(-NEAR, NEAR) / USUAL_GREEN.powi(2);
@@ -283,7 +303,8 @@ fn mean_light<'a>(lobes: impl Iterator<Item = &'a LightLobe>) -> Vec3 {
     (lobes.map(power).sum::<DVec3>() / (4.0 * std::f64::consts::PI)).as_vec3()
 }
 
-/// Mean albedo of the texels that are seen, with the weight `weight(i)` of texel i: that which is not metal.
+/// Mean albedo of the texels that are seen, with the weight `weight(i)` of texel i: that which is
+/// not metal.
 fn mean_albedo(albedo: &[DiffuseAlbedo], seen: &[TexelSeen], weight: impl Fn(usize) -> f32 + Sync) -> Vec3 {
     let of_chunk = |(chunk, (albedo, seen)): (usize, (&[DiffuseAlbedo], &[TexelSeen]))| {
         let texels = (chunk * CHUNK..).zip(albedo).zip(seen).filter(|(_, seen)| seen.0 > 0.0);
@@ -346,7 +367,8 @@ mod tests {
         let observed = vec![Observed { radiance: Vec3::new(0.5, 0.5, 0.9), saturated: false }; 2];
         let mut adjoint = vec![RadianceAdjoint::default(); 2];
         image_loss(Loss::L1, &layers, &observed, |_| Vec3::ONE, &mut adjoint);
-        // Only the first point cannot follow with its albedo: −1/6 per unit of radiance, of which there is 0.7.
+        // Only the first point cannot follow with its albedo: −1/6 per unit of radiance, of which
+        // there is 0.7.
         let of_sample = |i: usize| bound_derivative(&points[i], &layers[i], &adjoint[i]);
         let bound = (of_sample(0) + of_sample(1)).as_vec3();
         assert!((bound - Vec3::new(0.0, 0.0, -0.7 / 6.0)).length() < 1e-6, "{bound}");
@@ -381,7 +403,8 @@ mod tests {
 
     #[test]
     fn lamps_and_skies_are_left_alone_and_green_light_is_not() {
-        // Linear Rec. 709 of black bodies of 3 200, 6 500 and 15 000 K, by the CIE 1931 color matching functions.
+        // Linear Rec. 709 of black bodies of 3 200, 6 500 and 15 000 K, by the CIE 1931 color
+        // matching functions.
         for color in [[1.747, 0.913, 0.341], [1.022, 0.965, 1.014], [0.678, 0.854, 1.468]] {
             assert_eq!(lamp_derivative(log_color(color.into())), Vec3::ZERO, "{color:?}");
         }

@@ -1,12 +1,15 @@
 //! Sheen as an unknown: each texel's albedo along the surface, beside that straight on.
 //!
-//! The albedo toward a viewer blends both by c = n·v ([`lobelia_world::material::sheen`]), so that the adjoint of a sample's albedo is
-//! shared between them by c and 1 − c. A texel that is seen from few angles keeps its sheen near zero.
+//! The albedo toward a viewer blends both by c = n·v ([`lobelia_world::material::sheen`]), so that
+//! the adjoint of a sample's albedo is shared between them by c and 1 − c. A texel that is seen
+//! from few angles keeps its sheen near zero.
 //!
-//! Whether the surface has a sheen is decided by the photographs: a richer material is let in only if it predicts views that it was not fitted
-//! to. A fit without sheen leaves residuals r at observed pixels. In each cell of a lattice over the surface they are explained by a changed
-//! albedo, r = a u, or also by a sheen, r = (a + s (1 − c)) u, where u is the diffuse radiance per unit of albedo. Both are solved from half of
-//! the views and judged on the other half. All of that needs only sums, which the steps of a part of the fit collect.
+//! Whether the surface has a sheen is decided by the photographs: a richer material is let in only
+//! if it predicts views that it was not fitted to. A fit without sheen leaves residuals r at
+//! observed pixels. In each cell of a lattice over the surface they are explained by a changed
+//! albedo, r = a u, or also by a sheen, r = (a + s (1 − c)) u, where u is the diffuse radiance per
+//! unit of albedo. Both are solved from half of the views and judged on the other half. All of that
+//! needs only sums, which the steps of a part of the fit collect.
 
 use crate::fit::components::{AdamStep, AlbedoGradient, AlbedoMoments, Moments, StepRates, Unknowns};
 use crate::fit::{exposure::Exposures, loss::radiance, systems::moved_color};
@@ -26,7 +29,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Gradient of the loss with respect to a texel's albedo along the surface, and the weight of the samples that it sums over.
+/// Gradient of the loss with respect to a texel's albedo along the surface, and the weight of the
+/// samples that it sums over.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct SheenGradient(pub Vec3, pub f32);
 
@@ -37,8 +41,9 @@ pub struct SheenMoments(pub Moments<3>);
 /// Weight of the mean square of the sheen, relative to the image loss.
 const PRIOR: f32 = 0.02;
 
-/// Gradient: shares the albedo adjoints of the samples, which `scatter_to_texels` has added to the albedo straight on, with the albedo
-/// along the surface, if that is unknown, and takes its share from them, if it is known.
+/// Gradient: shares the albedo adjoints of the samples, which `scatter_to_texels` has added to the
+/// albedo straight on, with the albedo along the surface, if that is unknown, and takes its share
+/// from them, if it is known.
 pub fn scatter_to_sheen(
     (unknowns, known): (Res<Unknowns>, Option<Res<KnownAlong>>),
     samples: Samples<(&SurfacePoint, &ShadePoint, &PointAdjoint)>,
@@ -67,7 +72,8 @@ pub fn scatter_to_sheen(
     Ok(())
 }
 
-/// Update: the sheen beside a known albedo along the surface, once the albedo straight on has moved.
+/// Update: the sheen beside a known albedo along the surface, once the albedo straight on has
+/// moved.
 pub fn follow_known(
     unknowns: Res<Unknowns>,
     known: Option<Res<KnownAlong>>,
@@ -83,7 +89,8 @@ pub fn follow_known(
 }
 
 /// Update: Adam on the logits of each texel's albedo straight on and along the surface, instead of
-/// [`move_texels`](crate::fit::systems::move_texels), if the sheen is unknown; clears the gradients.
+/// [`move_texels`](crate::fit::systems::move_texels), if the sheen is unknown; clears the
+/// gradients.
 pub fn move_sheen(rates: Res<StepRates>, unknowns: Res<Unknowns>, texels: Texels<Columns>) -> SystemResult {
     if !unknowns.sheen {
         return Ok(());
@@ -121,7 +128,8 @@ const CONVINCING: f64 = 0.1;
 const NO_RESIDUALS: f64 = 1e-12;
 /// Cells along the longest side of the object.
 const CELLS: f32 = 32.0;
-/// Residuals count relative to the observed radiance plus this, which is close to how they are seen.
+/// Residuals count relative to the observed radiance plus this, which is close to how they are
+/// seen.
 const DARK: f32 = 0.1;
 
 /// Sums over the pixels of a cell, a half of the views and a channel, with weights w.
@@ -178,12 +186,14 @@ pub struct SheenEvidence {
     halves: Vec<u8>,
     /// Side of a cell, in world units; 0 before the first window.
     side: f32,
-    /// Part of the squared residuals of views kept aside that a sheen explains, once it has been decided.
+    /// Part of the squared residuals of views kept aside that a sheen explains, once it has been
+    /// decided.
     pub explained: Option<f64>,
 }
 
 impl SheenEvidence {
-    /// The part of the squared residuals of views kept aside that a sheen explains: below 0 if it makes them worse, 0 if there are none.
+    /// The part of the squared residuals of views kept aside that a sheen explains: below 0 if it
+    /// makes them worse, 0 if there are none.
     fn explained_part(&self) -> f64 {
         let (mut without, mut with) = (0.0, 0.0);
         for halves in self.cells.values() {
@@ -245,7 +255,8 @@ pub(crate) fn choose_sheen(world: &mut World, progress: f32) {
     unknowns.sheen |= convincing && unknowns.albedo;
 }
 
-/// Begins to look for evidence, unless a fit before this one has found a sheen: then this one goes on with it.
+/// Begins to look for evidence, unless a fit before this one has found a sheen: then this one goes
+/// on with it.
 pub(crate) fn look_for_sheen(world: &mut World) -> lobelia_geometry::error::Result<()> {
     if has_sheen(&read_column::<TexelIndex, DiffuseSheen>(world)?) {
         world.resource_mut::<Unknowns>().sheen = true;
@@ -261,8 +272,8 @@ pub(crate) fn look_for_sheen(world: &mut World) -> lobelia_geometry::error::Resu
     Ok(())
 }
 
-/// Two halves of cameras that see alike: of two neighbors each gets one. Where the cameras stand decides alone, not their order: a capture may
-/// alternate between two rings, or end with one.
+/// Two halves of cameras that see alike: of two neighbors each gets one. Where the cameras stand
+/// decides alone, not their order: a capture may alternate between two rings, or end with one.
 fn halves_of(positions: &[Vec3]) -> Vec<u8> {
     let by_place = |a: &usize, b: &usize| {
         let [a, b] = [positions[*a], positions[*b]];
@@ -275,7 +286,8 @@ fn halves_of(positions: &[Vec3]) -> Vec<u8> {
         let (first, from) = (*first, positions[*first]);
         let near = |at: &usize| positions[*at].distance_squared(from);
         let nearest = (0..others.len()).min_by(|a, b| near(&others[*a]).total_cmp(&near(&others[*b])));
-        // A coin for each pair, by the bits of its place: else one half might have all cameras of one side.
+        // A coin for each pair, by the bits of its place: else one half might have all cameras of
+        // one side.
         let mix = |sum: u64, x: f32| (sum ^ u64::from(x.to_bits())).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         let coin = (from.to_array().into_iter().fold(0, mix) >> 63) as u8;
         halves[first] = coin;

@@ -1,10 +1,12 @@
-//! How a fit starts where nothing is said, found from the photographs: the frame that the light stands still in, and albedo and roughness of the
-//! specular lobe. The initialization is tried with each, without shadows, on a part of a surface of many pixels. A frame that is far worse than another with a
-//! shining and with a matte lobe is tried with no other.
+//! How a fit starts where nothing is said, found from the photographs: the frame that the light
+//! stands still in, and albedo and roughness of the specular lobe. The initialization is tried with
+//! each, without shadows, on a part of a surface of many pixels. A frame that is far worse than
+//! another with a shining and with a matte lobe is tried with no other.
 //!
-//! Albedo takes up what of the shading does not depend on the view. In the wrong frame the light on a surface point should change from view
-//! to view, or should not, where the photographs show the opposite; that is an error that no albedo takes up. So is a lobe that shines where
-//! the surface is matte, and it hides the other: each frame is judged by the lobe that suits it.
+//! Albedo takes up what of the shading does not depend on the view. In the wrong frame the light on
+//! a surface point should change from view to view, or should not, where the photographs show the
+//! opposite; that is an error that no albedo takes up. So is a lobe that shines where the surface
+//! is matte, and it hides the other: each frame is judged by the lobe that suits it.
 
 use crate::fit::components::Unknowns;
 use crate::fit::initialization::{Known, least_rough, lobes_of, with_initialization};
@@ -26,22 +28,27 @@ use tracing::info_span;
 const LEAST_VIEWS: usize = 6;
 /// Largest error relative to that of the usual frame for another to be chosen.
 const BETTER: f32 = 0.9;
-/// Lobes that each frame is tried with: the scene's own and the first other. By default one shines and one is matte; each alone may hide the right frame.
+/// Lobes that each frame is tried with: the scene's own and the first other. By default one shines
+/// and one is matte; each alone may hide the right frame.
 const FIRST: usize = 2;
-/// Error with these, relative to the least of all frames, above which a frame is tried with no other. The others lower the error of a frame by 6 % at most (`spot`,
-/// `sphere`, `cheburashka`, `skull`, `head`).
+/// Error with these, relative to the least of all frames, above which a frame is tried with no
+/// other. The others lower the error of a frame by 6 % at most (`spot`, `sphere`, `cheburashka`,
+/// `skull`, `head`).
 const FAR: f32 = 1.4;
-/// Standard deviation of the sine of the cameras' tilt from which a turntable differs from a camera's frame.
+/// Standard deviation of the sine of the cameras' tilt from which a turntable differs from a
+/// camera's frame.
 const TILTED: f32 = 0.03;
 
-/// Albedo and roughness of the specular lobes that are tried: bright or a plain dielectric, glossy or matte. The first two differ most.
+/// Albedo and roughness of the specular lobes that are tried: bright or a plain dielectric, glossy
+/// or matte. The first two differ most.
 const LOBES: [(f32, f32); 4] = [(0.3, 0.4), (0.04, 0.8), (0.3, 0.2), (0.04, 0.4)];
 
-/// Most lobes of an unknown light with which frames and specular lobes are tried: frames differ by what no light explains, and a solve for many lobes
-/// costs the square of their number.
+/// Most lobes of an unknown light with which frames and specular lobes are tried: frames differ by
+/// what no light explains, and a solve for many lobes costs the square of their number.
 const MOST_TRIED: usize = 128;
 
-/// The frames that were tried, and the mean absolute error of radiance in each, with the lobe that suits it best of those tried in it.
+/// The frames that were tried, and the mean absolute error of radiance in each, with the lobe that
+/// suits it best of those tried in it.
 #[derive(Resource, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FramesTried(pub Vec<(LightFrame, f32)>);
 
@@ -49,8 +56,9 @@ pub struct FramesTried(pub Vec<(LightFrame, f32)>);
 #[derive(Resource, Clone, Copy, Debug)]
 pub struct ObjectTurned;
 
-/// Whether the light turns around the object from view to view, as far as is known: a place then has other colors in each photograph,
-/// most of all where it is glossy, and a search for hollows takes the difference for one.
+/// Whether the light turns around the object from view to view, as far as is known: a place then
+/// has other colors in each photograph, most of all where it is glossy, and a search for hollows
+/// takes the difference for one.
 pub(crate) fn light_turns(world: &World) -> bool {
     let turns = |own: &OwnLightFrame| own.0 != LightFrame::World;
     world.contains_resource::<ObjectTurned>()
@@ -58,8 +66,9 @@ pub(crate) fn light_turns(world: &World) -> bool {
         || world.get_resource::<Placements>().is_some_and(|placements| placements.0.len() > 1)
 }
 
-/// Sets the resource [`OwnLightFrame`] to the frame in which an initialization explains the photographs best, if `frame` is to be found, and the
-/// only base material to the `specular` lobe that suits it best, if that is, and unknown. The usual frame is kept unless another is clearly
+/// Sets the resource [`OwnLightFrame`] to the frame in which an initialization explains the
+/// photographs best, if `frame` is to be found, and the only base material to the `specular` lobe
+/// that suits it best, if that is, and unknown. The usual frame is kept unless another is clearly
 /// better: the world's, or one that turns if the [`ObjectTurned`].
 pub(crate) fn find_start(
     world: &mut World,
@@ -100,8 +109,8 @@ pub(crate) fn find_start(
     Ok(())
 }
 
-/// Mean absolute errors of radiance of the initialization in each frame: with the first lobes, and with the others where the frame is not far
-/// worse than another.
+/// Mean absolute errors of radiance of the initialization in each frame: with the first lobes, and
+/// with the others where the frame is not far worse than another.
 fn errors(
     world: &mut World,
     frames: &[LightFrame],
@@ -166,7 +175,8 @@ fn candidates(world: &mut World) -> Vec<LightFrame> {
         return frames;
     }
     frames.push(LightFrame::Camera);
-    // Standard deviation over the views of the sine of the angle between the line of sight and the plane across the axis.
+    // Standard deviation over the views of the sine of the angle between the line of sight and the
+    // plane across the axis.
     let tilts = |axis: Vec3| {
         let sines: Vec<f32> = turns.iter().map(|turn| turn.z_axis.dot(axis)).collect();
         let mean = sines.iter().sum::<f32>() / sines.len() as f32;

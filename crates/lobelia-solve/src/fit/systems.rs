@@ -1,7 +1,7 @@
 //! The systems of the Loss, Gradient and Update stages; each fetches columns and calls a kernel.
 //!
-//! With several base materials, samples are worked on in chunks of [`CHUNK`], and what they share is summed over chunks in their order: the
-//! bits do not depend on which process has which chunk.
+//! With several base materials, samples are worked on in chunks of [`CHUNK`], and what they share
+//! is summed over chunks in their order: the bits do not depend on which process has which chunk.
 
 use crate::fit::components::{
     AdamStep, AlbedoGradient, AlbedoMoments, Bounded, LobeMoments, LossState, Moments, SpecularMoments,
@@ -32,7 +32,8 @@ use lobelia_world::sample::pixel::{Observed, PixelOf};
 use lobelia_world::sample::point::{PointBlend, SurfacePoint};
 use rayon::prelude::*;
 
-/// Range of roughness in a fit; highlights of lower roughness are too narrow for single precision and for the pixels that show them.
+/// Range of roughness in a fit; highlights of lower roughness are too narrow for single precision
+/// and for the pixels that show them.
 pub const ROUGHNESS_RANGE: Bounded = Bounded { low: 0.03, high: 1.0 };
 /// Range of lobe sharpness in a fit.
 const SHARPNESS_RANGE: (f32, f32) = (0.05, 1e4);
@@ -61,8 +62,8 @@ type PullBackColumns = (
     &'static mut PointAdjoint,
 );
 
-/// For [`Slot::ShadingAdjoint`](lobelia_world::pipeline::Slot::ShadingAdjoint): propagates radiance adjoints back through this closed form, to the samples and to light and
-/// material.
+/// For [`Slot::ShadingAdjoint`](lobelia_world::pipeline::Slot::ShadingAdjoint): propagates radiance
+/// adjoints back through this closed form, to the samples and to light and material.
 pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
     let system = move |light: Res<IncidentLight>,
                        materials: Res<BaseMaterials>,
@@ -103,7 +104,8 @@ pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
     system.into_configs()
 }
 
-/// Gradient: adds the albedo adjoints of the samples to their texels, in the order of [`SampleIndex`](lobelia_world::sample::pixel::SampleIndex).
+/// Gradient: adds the albedo adjoints of the samples to their texels, in the order of
+/// [`SampleIndex`](lobelia_world::sample::pixel::SampleIndex).
 pub fn scatter_to_texels(
     samples: Samples<(&SurfacePoint, &PointAdjoint)>,
     texels: Texels<&mut AlbedoGradient>,
@@ -119,7 +121,8 @@ pub fn scatter_to_texels(
     Ok(())
 }
 
-/// Update: Adam on the logit of each texel's albedo, if it has no unknown sheen; clears the gradient.
+/// Update: Adam on the logit of each texel's albedo, if it has no unknown sheen; clears the
+/// gradient.
 pub fn move_texels(
     rates: Res<StepRates>,
     unknowns: Res<Unknowns>,
@@ -225,8 +228,9 @@ struct BlendedSamples<'a> {
     adjoint: &'a [RadianceAdjoint],
 }
 
-/// The adjoint of shading with several materials, chunk by chunk: one material at a time, at the samples that have it; diffuse light and
-/// interreflection belong to the first material of a sample. The adjoint of a zero weight is left at zero.
+/// The adjoint of shading with several materials, chunk by chunk: one material at a time, at the
+/// samples that have it; diffuse light and interreflection belong to the first material of a
+/// sample. The adjoint of a zero weight is left at zero.
 fn pull_back_blended(
     form: ClosedForm,
     samples: &BlendedSamples<'_>,
@@ -257,7 +261,8 @@ fn pull_back_blended(
 /// Gradient of what the samples of a chunk share: the light, and each base material.
 type BlendedSums = (LobeColumns, Vec<SpecularAdjoint>);
 
-/// The adjoint of one chunk of [`CHUNK`] samples; adjoints of these and of their blend weights go to `out`.
+/// The adjoint of one chunk of [`CHUNK`] samples; adjoints of these and of their blend weights go
+/// to `out`.
 fn pull_back_chunk(
     form: ClosedForm,
     samples: &BlendedSamples<'_>,
@@ -388,7 +393,8 @@ mod tests {
         }
     }
 
-    /// Radiance is linear in weights, specular albedo and amplitudes, so that differences are exact up to rounding.
+    /// Radiance is linear in weights, specular albedo and amplitudes, so that differences are exact
+    /// up to rounding.
     #[test]
     fn the_adjoint_of_blended_shading_agrees_with_differences() {
         let scene = Blended::new();

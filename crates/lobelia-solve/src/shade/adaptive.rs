@@ -1,6 +1,7 @@
-//! Frames of films: one ray at the middle of each pixel that may show the object, and the whole grid of rays only at pixels that differ from a neighbor, which
-//! show edges, patterns or highlights. Closed forms have no noise. What lies between the middles of pixels that are alike, such as a wire thinner than
-//! a pixel where none of nine middles meets it, is not seen.
+//! Frames of films: one ray at the middle of each pixel that may show the object, and the whole
+//! grid of rays only at pixels that differ from a neighbor, which show edges, patterns or
+//! highlights. Closed forms have no noise. What lies between the middles of pixels that are alike,
+//! such as a wire thinner than a pixel where none of nine middles meets it, is not seen.
 //!
 //! | name | unit | value | meaning |
 //! | --- | --- | --- | --- |
@@ -30,9 +31,10 @@ pub struct ColorBand {
     pub refined: usize,
 }
 
-/// Renders one picture in bands of `rows_per_band` rows (at least 1), from the top, with up to about `samples_per_pixel` rays per pixel. Colors are told apart as
-/// they are shown: `encode` makes values in [0, 1] of radiance. `take` gets each band; bands have the same bits whatever their height. The pool of samples
-/// is left for the next frame: `despawn_pool` ends a film.
+/// Renders one picture in bands of `rows_per_band` rows (at least 1), from the top, with up to
+/// about `samples_per_pixel` rays per pixel. Colors are told apart as they are shown: `encode`
+/// makes values in [0, 1] of radiance. `take` gets each band; bands have the same bits whatever
+/// their height. The pool of samples is left for the next frame: `despawn_pool` ends a film.
 ///
 /// # Errors
 /// The first error of a system or of `take`.
@@ -56,7 +58,8 @@ pub fn render_adaptive(
     })
 }
 
-/// The columns and rows that the object may be seen in: those of the box around it, or all if the camera is too close to tell.
+/// The columns and rows that the object may be seen in: those of the box around it, or all if the
+/// camera is too close to tell.
 fn object_window(world: &World, camera: &Camera) -> [Range<u32>; 2] {
     let sides = [camera.width, camera.height];
     let bounds = world.get_resource::<Scenery>().and_then(|scenery| scenery.0.bounds());
@@ -117,7 +120,8 @@ fn render_band(
     })
 }
 
-/// The pixels among `inner` that differ from one of their four neighbors, and those around an outline.
+/// The pixels among `inner` that differ from one of their four neighbors, and those around an
+/// outline.
 fn differing_pixels(
     pixels: &[PixelSums],
     width: usize,

@@ -6,7 +6,8 @@ use lobelia_sg::brdf::Ndf;
 use lobelia_sg::shading::{ClosedForm, Cpu, PairLoops};
 use std::sync::Arc;
 
-/// The device of closed-form shading of objects with one base material; without it, and for all else, this processor.
+/// The device of closed-form shading of objects with one base material; without it, and for all
+/// else, this processor.
 #[derive(Resource, Clone, Debug)]
 pub struct ShadingDevice(pub Arc<dyn PairLoops>);
 
@@ -18,7 +19,8 @@ impl PartialEq for ShadingDevice {
 }
 
 impl ShadingDevice {
-    /// The device of this name: `cpu`, `gpu` for the first graphics adapter, or a part of an adapter's name.
+    /// The device of this name: `cpu`, `gpu` for the first graphics adapter, or a part of an
+    /// adapter's name.
     ///
     /// # Errors
     /// [`Error::Usage`] if there is none, or if the program is built without the feature `gpu`.

@@ -1,4 +1,5 @@
-//! The Frame phase: one tile of a picture, or of a band of its rows, at a time, Sample ▸ Trace ▸ Gather ▸ Shade ▸ Resolve.
+//! The Frame phase: one tile of a picture, or of a band of its rows, at a time, Sample ▸ Trace ▸
+//! Gather ▸ Shade ▸ Resolve.
 
 use super::systems::{gather_blends, gather_points, shade_closed_form};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, With, World};
@@ -24,7 +25,8 @@ use std::ops::Range;
 /// Samples in the pool of a frame: enough to use all threads, few enough for cache and memory.
 const POOL: usize = 1 << 16;
 
-/// Most memory that a map, or the photographs that a scene renders itself, may be expected to take, in bytes.
+/// Most memory that a map, or the photographs that a scene renders itself, may be expected to take,
+/// in bytes.
 pub(crate) const MOST_FRAME_BYTES: u64 = 8 << 30;
 
 /// Checks that `bytes` are at most `MOST_FRAME_BYTES`; `what` names the picture that takes them.
@@ -72,15 +74,16 @@ pub struct FrameTarget {
     pub rows: Range<u32>,
     /// Sums per pixel of these rows, row by row.
     pub pixels: Vec<PixelSums>,
-    /// Numbers of the only pixels that rays are cast at, counted over the whole picture; `None`: all of these rows.
+    /// Numbers of the only pixels that rays are cast at, counted over the whole picture; `None`:
+    /// all of these rows.
     pub(super) chosen: Option<Vec<u32>>,
     /// First sample of the current tile, counted over the whole picture.
     cursor: usize,
 }
 
 impl FrameTarget {
-    /// Empty `rows` of a picture with about `samples_per_pixel` camera rays per pixel, on a square grid. Rays and random numbers of a pixel
-    /// are the same in any band.
+    /// Empty `rows` of a picture with about `samples_per_pixel` camera rays per pixel, on a square
+    /// grid. Rays and random numbers of a pixel are the same in any band.
     pub fn band(camera: Camera, samples_per_pixel: u32, rows: Range<u32>) -> Self {
         let side = (f64::from(samples_per_pixel.max(1))).sqrt().round().max(1.0) as u32;
         let count = camera.width as usize * rows.len();
@@ -98,7 +101,8 @@ impl FrameTarget {
         self.rows.start as usize * self.camera.width as usize
     }
 
-    /// The samples of these rows, counted over the whole picture; of chosen pixels, counted over these.
+    /// The samples of these rows, counted over the whole picture; of chosen pixels, counted over
+    /// these.
     fn samples(&self) -> Range<usize> {
         let first = self.first_pixel();
         let per_pixel = self.samples_per_pixel();
@@ -121,8 +125,8 @@ impl FrameTarget {
     }
 }
 
-/// Rendering of pictures: the Frame phase with the recovered material, the scene's own light and accurate closed-form shading. Each
-/// of these systems can be swapped.
+/// Rendering of pictures: the Frame phase with the recovered material, the scene's own light and
+/// accurate closed-form shading. Each of these systems can be swapped.
 pub struct FramePlugin;
 
 impl Plugin for FramePlugin {
@@ -151,7 +155,8 @@ pub fn add_material_resources<M: MaterialSource>(world: &mut World) {
     world.init_resource::<PlainBlends<M>>();
 }
 
-/// Adds the systems of [`GatherPoints`]: base materials, albedo and blends of a material at the points of the window.
+/// Adds the systems of [`GatherPoints`]: base materials, albedo and blends of a material at the
+/// points of the window.
 pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
     let materials =
         (note_plain_blends::<M>.run_if(blends_changed::<M>), gather_materials::<M>, gather_blends::<M>);
@@ -159,8 +164,8 @@ pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
     pipeline.add_systems(phase, Stage::Gather, materials.chain().in_set(GatherPoints));
 }
 
-/// Renders one picture with the systems in the slots of the Frame phase. All of it is in memory, [`PixelSums`] per pixel; for a large
-/// one see [`render_bands`].
+/// Renders one picture with the systems in the slots of the Frame phase. All of it is in memory,
+/// [`PixelSums`] per pixel; for a large one see [`render_bands`].
 ///
 /// # Errors
 /// The first error of a system.
@@ -172,8 +177,9 @@ pub fn render_frame(pipeline: &mut Pipeline, camera: Camera, samples_per_pixel: 
     rendered
 }
 
-/// Renders one picture in bands of `rows_per_band` rows (at least 1), from the top, so that its height needs no memory. `take` gets the
-/// world, the number of the band's first row and the band; the pixels have the bits of [`render_frame`].
+/// Renders one picture in bands of `rows_per_band` rows (at least 1), from the top, so that its
+/// height needs no memory. `take` gets the world, the number of the band's first row and the band;
+/// the pixels have the bits of [`render_frame`].
 ///
 /// # Errors
 /// The first error of a system or of `take`.
@@ -206,15 +212,17 @@ pub(super) fn bands(camera: Camera, rows_per_band: u32) -> impl Iterator<Item = 
 /// Pixels of a band: enough to use all threads, few enough for memory.
 const BAND_PIXELS: u32 = 1 << 19;
 
-/// Rows of a band for [`render_bands`] of a picture of this width and height: about half a million pixels, and whole blocks of [`BLOCK_ROWS`] where a band has several.
+/// Rows of a band for [`render_bands`] of a picture of this width and height: about half a million
+/// pixels, and whole blocks of [`BLOCK_ROWS`] where a band has several.
 pub fn band_rows([width, height]: [u32; 2]) -> u32 {
     let rows = (BAND_PIXELS / width.max(1)).max(1);
     let whole_blocks = rows - rows % BLOCK_ROWS as u32;
     (if whole_blocks > 0 { whole_blocks } else { rows }).min(height.max(1))
 }
 
-/// Peak memory in bytes of rendering a picture of this width and height in bands of [`band_rows`] and writing it as EXR and PNG: it grows
-/// with the width only. What the scene itself takes is not included.
+/// Peak memory in bytes of rendering a picture of this width and height in bands of [`band_rows`]
+/// and writing it as EXR and PNG: it grows with the width only. What the scene itself takes is not
+/// included.
 pub fn frame_bytes([width, height]: [u32; 2]) -> u64 {
     let band = u64::from(width) * u64::from(band_rows([width, height]));
     // A block that is not complete waits for the next band.
@@ -226,7 +234,8 @@ pub fn frame_bytes([width, height]: [u32; 2]) -> u64 {
     band * per_pixel as u64 + waiting * Frame::PIXEL_BYTES as u64 + pool as u64
 }
 
-/// Spawns the pool of samples for a picture of `samples` samples; one of the same size that a picture before has left is taken over.
+/// Spawns the pool of samples for a picture of `samples` samples; one of the same size that a
+/// picture before has left is taken over.
 pub(super) fn spawn_pool(world: &mut World, samples: usize) {
     let count = samples.min(POOL);
     let mut left = world.query_filtered::<(), (With<SampleIndex>, With<Layers>)>();
@@ -241,8 +250,9 @@ pub(super) fn spawn_pool(world: &mut World, samples: usize) {
 /// Renders the rows of `target`, or its chosen pixels, tile by tile.
 pub(super) fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Result<FrameTarget> {
     let (samples, per_pixel) = (target.samples(), target.samples_per_pixel());
-    // Tiles begin at the same samples of the picture whatever the rows: a sample has the same place in the pool, and with it the same
-    // random numbers, in any band. They have whole pixels, unless a pixel has more samples.
+    // Tiles begin at the same samples of the picture whatever the rows: a sample has the same place
+    // in the pool, and with it the same random numbers, in any band. They have whole pixels, unless
+    // a pixel has more samples.
     let tile = POOL - if per_pixel <= POOL { POOL % per_pixel } else { 0 };
     let first = samples.start - samples.start % tile;
     with_target(pipeline, target, |pipeline| {
@@ -271,7 +281,8 @@ fn with_target(
     outcome.map(|()| target)
 }
 
-/// Runs the Frame phase of this camera for no pixel: the systems in the slots of material and light have their turn.
+/// Runs the Frame phase of this camera for no pixel: the systems in the slots of material and light
+/// have their turn.
 ///
 /// # Errors
 /// The first error of a system.
@@ -280,7 +291,8 @@ pub(super) fn run_for_no_pixel(pipeline: &mut Pipeline, camera: Camera) -> Resul
     with_target(pipeline, FrameTarget::band(camera, 1, 0..0), |pipeline| pipeline.run(Phase::Frame)).map(drop)
 }
 
-/// The material that a frame would show now: the Frame phase runs for no pixel, so that the system in [`Slot::Material`] has its turn.
+/// The material that a frame would show now: the Frame phase runs for no pixel, so that the system
+/// in [`Slot::Material`] has its turn.
 ///
 /// # Errors
 /// The first error of a system; if the pool of texels is not whole.
@@ -291,7 +303,8 @@ pub fn frame_material(pipeline: &mut Pipeline) -> Result<MaterialState> {
     shown_material(&mut pipeline.world)
 }
 
-/// Converts sums over samples to the layers of a frame: radiance averages over all samples, other layers over samples with a hit.
+/// Converts sums over samples to the layers of a frame: radiance averages over all samples, other
+/// layers over samples with a hit.
 pub fn resolve(target: &FrameTarget) -> Frame {
     let samples = target.samples_per_pixel() as f32;
     let each = |f: &(dyn Fn(&PixelSums) -> Vec3 + Sync)| target.pixels.par_iter().map(f).collect();
@@ -321,7 +334,8 @@ pub fn sample_pixels(
     Ok(())
 }
 
-/// Trace: intersects the rays with the surface. A back face (seen from inside an open mesh) counts as a hit and has zero radiance.
+/// Trace: intersects the rays with the surface. A back face (seen from inside an open mesh) counts
+/// as a hit and has zero radiance.
 pub fn trace_samples(scenery: Res<Scenery>, samples: Samples<(&ViewRay, &mut SurfacePoint)>) -> SystemResult {
     let (rays, mut points) = samples.columns()?;
     let columns = points.par_iter_mut().zip(&*rays).with_min_len(512);

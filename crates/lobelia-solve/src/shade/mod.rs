@@ -1,4 +1,5 @@
-//! The Gather and Shade stages, which compute outgoing radiance from surface points, light and material; and the Frame phase.
+//! The Gather and Shade stages, which compute outgoing radiance from surface points, light and
+//! material; and the Frame phase.
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
@@ -7,8 +8,9 @@
 //! | [`shade_closed_form`] | Shade, `Slot::Shading` | gathered points, light, base materials, visibility | [`Layers`](lobelia_sg::shading::Layers) |
 //! | [`shade_path_traced`] | Shade, `Slot::Shading` | the same, [`Scenery`](lobelia_world::sample::point::Scenery) | the same |
 //!
-//! The other systems of the Gather stage: [`material::shown`](lobelia_world::material::shown) in `Slot::Material`,
-//! [`light::lights`](lobelia_world::light::lights) in `Slot::Light`, [`visibility`](crate::visibility) in `Slot::Visibility`.
+//! The other systems of the Gather stage: [`material::shown`](lobelia_world::material::shown) in
+//! `Slot::Material`, [`light::lights`](lobelia_world::light::lights) in `Slot::Light`,
+//! [`visibility`](crate::visibility) in `Slot::Visibility`.
 
 pub mod adaptive;
 pub mod device;

@@ -1,5 +1,6 @@
-//! The systems of the Gather stage between its slots, and those for [`Slot::Shading`](lobelia_world::pipeline::Slot::Shading); each
-//! fetches columns and calls a kernel.
+//! The systems of the Gather stage between its slots, and those for
+//! [`Slot::Shading`](lobelia_world::pipeline::Slot::Shading); each fetches columns and calls a
+//! kernel.
 
 use crate::shade::device::{ShadingDevice, failed, loops_of};
 use crate::shade::path_tracer::{PathEstimate, PathPoint, PathQuery, PathScene, PathSettings, shade_points};
@@ -53,7 +54,8 @@ pub fn kernel_materials(materials: &BaseMaterials) -> Vec<(usize, SpecularValue)
 type DiffuseColumns<'w, M> =
     (&'w ColumnOf<M, DiffuseAlbedo>, &'w ColumnOf<M, DiffuseSheen>, &'w ColumnOf<M, DiffuseTilt>);
 
-/// Gather: interpolates the texels of a material at each surface point into the inputs of shading, in the light's frame.
+/// Gather: interpolates the texels of a material at each surface point into the inputs of shading,
+/// in the light's frame.
 pub fn gather_points<M: MaterialSource>(
     texels: Texels<DiffuseColumns<'static, M>>,
     turns: LightRotations,
@@ -89,7 +91,8 @@ pub fn turned(point: &ShadePoint, light_from_world: Mat3) -> ShadePoint {
     ShadePoint { normal: turned(point.normal), to_viewer: turned(point.to_viewer), ..*point }
 }
 
-/// Gather: interpolates the weights of the base materials at each surface point, if there are several.
+/// Gather: interpolates the weights of the base materials at each surface point, if there are
+/// several.
 pub fn gather_blends<M: MaterialSource>(
     materials: Res<BaseMaterials>,
     texels: Texels<&ColumnOf<M, SpecularBlend>>,
@@ -114,7 +117,8 @@ pub fn gather_blends<M: MaterialSource>(
 /// The columns that closed-form shading reads and writes.
 type ShadeColumns = (&'static ShadePoint, &'static PointBlend, &'static PointVisibility, &'static mut Layers);
 
-/// For [`Slot::Shading`](lobelia_world::pipeline::Slot::Shading): shades with this closed form, with the shadows and interreflection from `Slot::Visibility`.
+/// For [`Slot::Shading`](lobelia_world::pipeline::Slot::Shading): shades with this closed form,
+/// with the shadows and interreflection from `Slot::Visibility`.
 pub fn shade_closed_form(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
     let system = move |light: Res<IncidentLight>,
                        materials: Res<BaseMaterials>,
@@ -231,7 +235,8 @@ type PathColumns = (
     &'static mut Layers,
 );
 
-/// For [`Slot::Shading`](lobelia_world::pipeline::Slot::Shading): shades by path tracing, with shadows, interreflection and noise.
+/// For [`Slot::Shading`](lobelia_world::pipeline::Slot::Shading): shades by path tracing, with
+/// shadows, interreflection and noise.
 pub fn shade_path_traced(paths: PathTracing) -> ScheduleConfigs<ScheduleSystem> {
     let system = move |scenery: Res<Scenery>,
                        light: Res<IncidentLight>,

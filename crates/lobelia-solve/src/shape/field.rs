@@ -1,8 +1,10 @@
-//! The SDF as parameters: all its values, and bricks of 8 × 8 × 8 of them near the surface, which move.
+//! The SDF as parameters: all its values, and bricks of 8 × 8 × 8 of them near the surface, which
+//! move.
 //!
-//! A sample's normal is that of the interpolated central differences, so its adjoint is propagated to the gradients at eight
-//! vertices first, and from there by one divergence stencil to the values. The position moves along its ray as the values change
-//! (implicit differentiation; IDR eq. 3, Niemeyer et al. 2020): dx/dφ = −d / (∇φ·d).
+//! A sample's normal is that of the interpolated central differences, so its adjoint is propagated
+//! to the gradients at eight vertices first, and from there by one divergence stencil to the
+//! values. The position moves along its ray as the values change (implicit differentiation; IDR eq.
+//! 3, Niemeyer et al. 2020): dx/dφ = −d / (∇φ·d).
 
 use bevy_ecs::prelude::Resource;
 use glam::{UVec3, Vec3, Vec4};
@@ -14,7 +16,8 @@ pub(crate) const BRICK_SIDE: u32 = 8;
 pub(crate) const BRICK_LEN: usize = 512;
 /// Distance from the zero level, in cells, within which values are optimized.
 pub(crate) const BAND_CELLS: f32 = 3.0;
-/// Lower bound of |∇φ·d| in the adjoint of a position, because the derivative is unbounded at grazing rays.
+/// Lower bound of |∇φ·d| in the adjoint of a position, because the derivative is unbounded at
+/// grazing rays.
 const LEAST_DERIVATIVE: f32 = 0.15;
 
 /// Lowest vertex of a brick.
@@ -28,7 +31,8 @@ pub struct SdfField {
     pub surface: SdfSurface,
     /// Adjoints at the vertices.
     pub adjoint: FieldAdjoint,
-    /// Two values per vertex, for smoothing; the second is the gradient of a step; 0 at those that no brick holds.
+    /// Two values per vertex, for smoothing; the second is the gradient of a step; 0 at those that
+    /// no brick holds.
     pub scratch: [Vec<f32>; 2],
     /// Running mean square of the gradient.
     pub mean_square: f32,
@@ -49,8 +53,8 @@ impl SdfField {
     }
 }
 
-/// The squared error of the model, summed at the vertices of a grid around the surface points of samples. Errors are of luminance with
-/// the curve of sRGB, as patches of photographs are compared.
+/// The squared error of the model, summed at the vertices of a grid around the surface points of
+/// samples. Errors are of luminance with the curve of sRGB, as patches of photographs are compared.
 #[derive(Resource, Clone, Debug)]
 pub struct ModelError {
     /// The grid, without its values.
@@ -167,8 +171,9 @@ pub(super) fn each(half: impl FnMut(usize) -> Vec4) -> RunValues {
     std::array::from_fn(half)
 }
 
-/// Hands each run of each brick its part of `dense`, which has one element per vertex of the grid. Bricks come lowest first, as
-/// [`bricks_near_surface`] has them: those of one layer are written beside those of others.
+/// Hands each run of each brick its part of `dense`, which has one element per vertex of the grid.
+/// Bricks come lowest first, as [`bricks_near_surface`] has them: those of one layer are written
+/// beside those of others.
 pub(super) fn write_runs<T: Send>(
     grid: &SdfGrid,
     at: &[BrickAt],
@@ -222,7 +227,8 @@ pub struct SampleAdjoint {
 }
 
 impl SampleAdjoint {
-    /// From the adjoints of the unit normal at `position` and of the position itself, where a ray of direction `direction` meets the surface.
+    /// From the adjoints of the unit normal at `position` and of the position itself, where a ray
+    /// of direction `direction` meets the surface.
     pub fn new(grid: &SdfGrid, position: Vec3, direction: Vec3, by_normal: Vec3, by_position: Vec3) -> Self {
         let gradient = grid.gradient(position);
         let length = gradient.length().max(1e-3);
@@ -257,8 +263,9 @@ impl FieldAdjoint {
         }
     }
 
-    /// The adjoint of the value at index `row`, central differences included. `interior` means that the vertex is at least
-    /// two vertices away from the border, so that no difference is one-sided.
+    /// The adjoint of the value at index `row`, central differences included. `interior` means that
+    /// the vertex is at least two vertices away from the border, so that no difference is
+    /// one-sided.
     #[inline]
     pub fn of_row(&self, grid: &SdfGrid, row: usize, interior: bool) -> f32 {
         if !interior {
@@ -380,7 +387,8 @@ mod tests {
         let grid = bumpy();
         let mut adjoint = FieldAdjoint::zeros(&grid);
         adjoint.add(&grid, &SampleAdjoint::new(&grid, meets(&grid), ray.direction, Vec3::ZERO, weight));
-        // The gradient of the trilinear value and the interpolated differences are not the same number.
+        // The gradient of the trilinear value and the interpolated differences are not the same
+        // number.
         check(&adjoint, |g| meets(g).dot(weight), 0.06);
     }
 }

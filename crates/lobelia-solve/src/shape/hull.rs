@@ -1,20 +1,24 @@
 //! The robust visual hull: at every point of space, how far outside the silhouettes it is.
 //!
-//! In a view a point is about (pixels to the silhouette) · depth / focal away from the silhouette's cone. The largest of
-//! these over the views is the hull's signed distance; the k-th largest forgives k − 1 wrong masks. Views that do not see
-//! the point, or see it at the border of the frame, abstain: what the frame cuts is kept.
+//! In a view a point is about (pixels to the silhouette) · depth / focal away from the silhouette's
+//! cone. The largest of these over the views is the hull's signed distance; the k-th largest
+//! forgives k − 1 wrong masks. Views that do not see the point, or see it at the border of the
+//! frame, abstain: what the frame cuts is kept.
 //!
-//! A mask that lacks a part of the object removes it from the hull for all views. Other masks then contain pixels whose rays
-//! miss the hull. Where such rays of several views cross, and most views see the object, the part is restored (`regrow`). The same
-//! step restores parts that a coarse grid or a step of the fit lost.
+//! A mask that lacks a part of the object removes it from the hull for all views. Other masks then
+//! contain pixels whose rays miss the hull. Where such rays of several views cross, and most views
+//! see the object, the part is restored (`regrow`). The same step restores parts that a coarse grid
+//! or a step of the fit lost.
 //!
-//! Often only one or two cameras look from below, and what they alone show to be empty, such as the space under a seat, would stay
-//! filled where a share of the masks is forgiven. A mask is therefore trusted if what it removes leaves no ray of another mask without
-//! a surface. A trusted mask carves by itself, up to some pixels beside its outline, which is more than the noise of
+//! Often only one or two cameras look from below, and what they alone show to be empty, such as the
+//! space under a seat, would stay filled where a share of the masks is forgiven. A mask is
+//! therefore trusted if what it removes leaves no ray of another mask without a surface. A trusted
+//! mask carves by itself, up to some pixels beside its outline, which is more than the noise of
 //! outlines. Its holes do not: a wrong one would become a tunnel that no other outline shows.
 //!
-//! A field has floaters: space that no mask contradicts. They project into the masks, but always onto what the object covers anyway. A
-//! part of the object, such as a link of a chain, is needed: without it masks have pixels that show nothing ([`extract_parts`]).
+//! A field has floaters: space that no mask contradicts. They project into the masks, but always
+//! onto what the object covers anyway. A part of the object, such as a link of a chain, is needed:
+//! without it masks have pixels that show nothing ([`extract_parts`]).
 
 use crate::shape::silhouette::{MIN_VIEWS, Sighting, Silhouette};
 use glam::{Mat3, Vec3};
@@ -34,7 +38,8 @@ pub(super) const FORGIVEN: f32 = 0.02;
 const FORGIVEN_AT_GAPS: f32 = 0.12;
 /// Cells a side of the grid that finds out how large the object is.
 const COARSE_CELLS: u32 = 48;
-/// Cells outside a coarse surface beyond which the hull is not looked at more closely: no part of it is as far from all vertices.
+/// Cells outside a coarse surface beyond which the hull is not looked at more closely: no part of
+/// it is as far from all vertices.
 const FAR: f32 = 2.5;
 /// Cells that a surface may lie outside the hull.
 const TRIM_SLACK: f32 = 0.25;
@@ -47,18 +52,22 @@ const GAP_VIEWS: usize = 3;
 const GAP_SHARE: f32 = 0.04;
 /// Cells around a gap's rays within which the object is restored.
 const GAP_REACH: f32 = 1.5;
-/// Most that the distance from a silhouette changes with the way: √2 where it is continued beyond its window, and more off the axis.
+/// Most that the distance from a silhouette changes with the way: √2 where it is continued beyond
+/// its window, and more off the axis.
 const SLOPE: f32 = 2.5;
-/// Distance in pixels between the silhouettes of mask and hull from which the mask is rejected; cells of a coarse grid allow more.
+/// Distance in pixels between the silhouettes of mask and hull from which the mask is rejected;
+/// cells of a coarse grid allow more.
 const OUTLINE_TOLERANCE: f32 = 3.0;
 /// Stride in pixels of the check how well the hull fills a mask.
 const SHARE_STRIDE: usize = 7;
-/// Shares of a mask that the hull fills, below which the view is noted, and below which in half the views there is no shape.
+/// Shares of a mask that the hull fills, below which the view is noted, and below which in half the
+/// views there is no shape.
 const NOTED_SHARE: f32 = 0.9;
 const REFUSED_SHARE: f32 = 0.6;
 /// Pixels beside the outline of a trusted mask that it does not carve alone.
 const CARVE_SLACK: f32 = 3.0;
-/// Pixels inside a mask's outline beyond which a ray should meet what trusted masks leave; cells of a coarse grid allow more.
+/// Pixels inside a mask's outline beyond which a ray should meet what trusted masks leave; cells of
+/// a coarse grid allow more.
 const CHECK_DEPTH: f32 = 3.0;
 const CHECK_CELLS: f32 = 2.0;
 /// Stride of the pixels that are checked.
@@ -67,7 +76,8 @@ const CHECK_STRIDE: usize = 7;
 const TAKEN_SHARE: f32 = 1e-4;
 /// Length of the steps along a ray inside the surface, in cells.
 const STEP: f32 = 0.5;
-/// Pixels inside a mask's outline beyond which a ray should meet a part of the object; one of as many pixels is asked.
+/// Pixels inside a mask's outline beyond which a ray should meet a part of the object; one of as
+/// many pixels is asked.
 const PART_DEPTH: f32 = 2.0;
 const PART_STRIDE: usize = 7;
 /// Pixels of those in a view that a part must show alone for the view to need it.
@@ -77,10 +87,12 @@ const PART_SHARE: f32 = 0.25;
 /// Components beyond the largest that are looked at.
 const MOST_PARTS: usize = 63;
 
-/// The visual hull of an object, on a grid of `cells` cells a side that just holds it. Marks the views that it trusts.
+/// The visual hull of an object, on a grid of `cells` cells a side that just holds it. Marks the
+/// views that it trusts.
 ///
 /// # Errors
-/// [`Error::Usage`] if there are fewer than three masks, their middle rays do not meet, or no point is inside all masks.
+/// [`Error::Usage`] if there are fewer than three masks, their middle rays do not meet, or no point
+/// is inside all masks.
 pub fn visual_hull(silhouettes: &mut [Silhouette], cells: u32) -> Result<SdfGrid> {
     if silhouettes.len() < MIN_VIEWS {
         let problem = "a shape needs at least three views with masks that are not empty";
@@ -95,7 +107,8 @@ pub fn visual_hull(silhouettes: &mut [Silhouette], cells: u32) -> Result<SdfGrid
     regrow(&mut coarse, silhouettes, FORGIVEN_AT_GAPS);
     mark_trusted(silhouettes, &coarse);
     check_interrupted()?;
-    // The box around all vertices inside or so near that a thin part may be between them and the next.
+    // The box around all vertices inside or so near that a thin part may be between them and the
+    // next.
     let is_near = |row: &usize| coarse.values[*row] < 0.5 * coarse.spacing;
     let near = (0..coarse.values.len()).into_par_iter().filter(is_near);
     let near = near.map(|row| coarse.position(coarse.vertex(row)));
@@ -124,7 +137,8 @@ fn meeting_point(silhouettes: &[Silhouette]) -> Option<Vec3> {
     (a.determinant() > 1e-6 && point.is_finite()).then_some(point)
 }
 
-/// The hull in the cube around a center, with half its side. Far outside a `coarse` one its values are taken; not inside, for it knows of no mask that carves alone.
+/// The hull in the cube around a center, with half its side. Far outside a `coarse` one its values
+/// are taken; not inside, for it knows of no mask that carves alone.
 fn carve(
     silhouettes: &[Silhouette],
     (center, half_side): (Vec3, f32),
@@ -141,8 +155,8 @@ fn carve(
     SdfGrid::from_fn(center, half_side, cells, |point| if is_stopping() { outside } else { distance(point) })
 }
 
-/// The hull's signed distance at a point, with this share of the views forgiven, except what trusted views carve alone; `outside` if
-/// too few see it.
+/// The hull's signed distance at a point, with this share of the views forgiven, except what
+/// trusted views carve alone; `outside` if too few see it.
 fn hull_distance(silhouettes: &[Silhouette], point: Vec3, forgiven: f32, outside: f32) -> f32 {
     let (mut seen, mut trusted) = (Vec::with_capacity(silhouettes.len()), f32::NEG_INFINITY);
     for view in silhouettes {
@@ -158,7 +172,8 @@ fn hull_distance(silhouettes: &[Silhouette], point: Vec3, forgiven: f32, outside
     kth.max(trusted)
 }
 
-/// An empty hull, with the view that is farthest from seeing what the others come nearest to agreeing on.
+/// An empty hull, with the view that is farthest from seeing what the others come nearest to
+/// agreeing on.
 fn no_hull(silhouettes: &[Silhouette], coarse: &SdfGrid) -> Error {
     let seen = |point: Vec3| silhouettes.iter().filter_map(move |s| Some((s, s.world_distance(point)?)));
     // The point that most masks show, and of those the one least outside.
@@ -179,8 +194,9 @@ fn no_hull(silhouettes: &[Silhouette], coarse: &SdfGrid) -> Error {
     Error::usage(problem, help)
 }
 
-/// Removes from `grid` what lies outside the hull, as [`visual_hull`] has it, by more than [`TRIM_SLACK`] cells, and restores what most
-/// masks show. Marks the views that it trusts. Changed values are not exact distances.
+/// Removes from `grid` what lies outside the hull, as [`visual_hull`] has it, by more than
+/// [`TRIM_SLACK`] cells, and restores what most masks show. Marks the views that it trusts. Changed
+/// values are not exact distances.
 pub(super) fn trim(grid: &mut SdfGrid, silhouettes: &mut [Silhouette]) {
     mark_trusted(silhouettes, grid);
     let silhouettes = &*silhouettes;
@@ -202,8 +218,8 @@ pub(super) fn trim(grid: &mut SdfGrid, silhouettes: &mut [Silhouette]) {
     regrow(grid, silhouettes, FORGIVEN_AT_GAPS);
 }
 
-/// Restores what all masks but a share of `forgiven` show and `grid` lacks. Changed values are not exact distances. A run that is
-/// stopping ([`is_stopping`]) restores not all.
+/// Restores what all masks but a share of `forgiven` show and `grid` lacks. Changed values are not
+/// exact distances. A run that is stopping ([`is_stopping`]) restores not all.
 pub(super) fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f32) {
     let gaps: Vec<Silhouette> = silhouettes.par_iter().filter_map(|view| gaps(grid, view)).collect();
     let needed = GAP_VIEWS.max((GAP_SHARE * silhouettes.len() as f32).ceil() as usize);
@@ -216,7 +232,8 @@ pub(super) fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f
         let mut near: Vec<f32> = gaps.iter().filter_map(|gap| gap.world_distance(point)).collect();
         (near.len() >= needed).then(|| *near.select_nth_unstable_by(needed - 1, f32::total_cmp).1)
     };
-    // What is restored lies within reach of the gaps: values far from them remain, but none says more than the distance to that.
+    // What is restored lies within reach of the gaps: values far from them remain, but none says
+    // more than the distance to that.
     let is_far = |middle: Vec3, radius: f32| {
         let all_see = gaps.iter().all(|gap| gap.world_distance(middle).is_some());
         let room = gap_distance(middle).filter(|_| all_see)? - reach - SLOPE * radius;
@@ -232,8 +249,8 @@ pub(super) fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f
     grid.values = whole.replaced_in_blocks(is_far, grown);
 }
 
-/// The pixels well inside a mask whose rays miss the surface, as a mask; `None` if there are none. Of the pixels in a square as wide as a
-/// cell the one deepest inside is asked for all.
+/// The pixels well inside a mask whose rays miss the surface, as a mask; `None` if there are none.
+/// Of the pixels in a square as wide as a cell the one deepest inside is asked for all.
 fn gaps(grid: &SdfGrid, view: &Silhouette) -> Option<Silhouette> {
     let (width, height) = (view.camera.width, view.camera.height);
     let side = (view.cell_pixels(grid) as u32).max(1);
@@ -249,15 +266,19 @@ fn gaps(grid: &SdfGrid, view: &Silhouette) -> Option<Silhouette> {
     Silhouette::new(&view.name, &view.camera, &StoredMask::new(&missing))
 }
 
-/// Checks that the hull fills the masks it was made of; the notes name views whose masks it does not.
+/// Checks that the hull fills the masks it was made of; the notes name views whose masks it does
+/// not.
 ///
 /// # Errors
-/// [`Error::Usage`] with a view's name if it leaves most of most masks empty: they do not belong to their cameras.
+/// [`Error::Usage`] with a view's name if it leaves most of most masks empty: they do not belong to
+/// their cameras.
 pub fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<Vec<String>> {
-    // Near counts as met, to half the diagonal of a cell: what is thinner falls between the grid's vertices.
+    // Near counts as met, to half the diagonal of a cell: what is thinner falls between the grid's
+    // vertices.
     let near = 0.87 * hull.spacing;
     let is_met = |ray: &Ray| hull.least_distance(ray, near).is_some_and(|least| least.value < near);
-    // The share of a mask's pixels, not at the frame's border, whose rays meet the surface; 1 if it has none there.
+    // The share of a mask's pixels, not at the frame's border, whose rays meet the surface; 1 if it
+    // has none there.
     let covered = |view: &Silhouette| {
         let pixels = (0..view.pixel_count()).filter(|i| view.is_within(*i, 0.0)).step_by(SHARE_STRIDE);
         let (all, hit) = pixels.fold((0, 0), |(all, hit), i| {
@@ -290,8 +311,8 @@ pub fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<Vec<Stri
     Ok(shares.iter().take_while(|share| share.0 < NOTED_SHARE).map(note).collect())
 }
 
-/// For each pixel of a view, whether its mask is reliable there: not at the border of the frame, and nowhere near a place
-/// where the silhouette of the hull is far from that of the mask.
+/// For each pixel of a view, whether its mask is reliable there: not at the border of the frame,
+/// and nowhere near a place where the silhouette of the hull is far from that of the mask.
 pub(super) fn reliable_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
     let tolerance = OUTLINE_TOLERANCE.max(1.0 + view.cell_pixels(hull));
     let contradicts = |i: usize| {
@@ -308,7 +329,8 @@ pub(super) fn reliable_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
     (0..wrong.len()).map(|i| view.is_inner(i) && is_apart(i)).collect()
 }
 
-/// How far a point that a view sees is outside what its mask carves alone, in world units; `None` where it does not, or is doubted.
+/// How far a point that a view sees is outside what its mask carves alone, in world units; `None`
+/// where it does not, or is doubted.
 fn carve_distance(view: &Silhouette, sighting: &Sighting) -> Option<f32> {
     let carves = view.carves.as_ref()?;
     let beyond = sighting.pixels - CARVE_SLACK;
@@ -317,8 +339,9 @@ fn carve_distance(view: &Silhouette, sighting: &Sighting) -> Option<f32> {
     (beyond <= 0.0 || is_outside()).then_some(beyond * sighting.pixel_size)
 }
 
-/// Marks where each mask carves alone: the background around it if no other mask contradicts it, judged by a surface that all
-/// masks but a few agree on. When a run is stopping ([`is_stopping`]) the marks are of no use.
+/// Marks where each mask carves alone: the background around it if no other mask contradicts it,
+/// judged by a surface that all masks but a few agree on. When a run is stopping ([`is_stopping`])
+/// the marks are of no use.
 fn mark_trusted(silhouettes: &mut [Silhouette], surface: &SdfGrid) {
     silhouettes.par_iter_mut().for_each(|view| view.carves = Some(view.outside()));
     // The surface without what each mask carves alone.
@@ -342,8 +365,8 @@ fn mark_trusted(silhouettes: &mut [Silhouette], surface: &SdfGrid) {
     doubted.for_each(|(view, _)| view.carves = None);
 }
 
-/// The number of pixels of a view that were checked, and for each of them whose ray meets the surface, but nothing once it is carved, the
-/// rows of the views that carve there.
+/// The number of pixels of a view that were checked, and for each of them whose ray meets the
+/// surface, but nothing once it is carved, the rows of the views that carve there.
 fn takers(view: &Silhouette, all: &[Silhouette], surface: &SdfGrid, carved: &SdfGrid) -> (usize, Vec<usize>) {
     let depth = CHECK_DEPTH.max(CHECK_CELLS * view.cell_pixels(surface));
     let (mut checked, mut takers) = (0, Vec::new());
@@ -369,7 +392,8 @@ fn takers(view: &Silhouette, all: &[Silhouette], surface: &SdfGrid, carved: &Sdf
     (checked, takers)
 }
 
-/// The zero level of the field as a mesh: its largest component, and the others that the masks show.
+/// The zero level of the field as a mesh: its largest component, and the others that the masks
+/// show.
 pub fn extract_parts(grid: &SdfGrid, silhouettes: &[Silhouette]) -> Mesh {
     let mut components = extract_components(grid).into_iter();
     let Some(mut mesh) = components.next() else { return Mesh::default() };
@@ -378,7 +402,8 @@ pub fn extract_parts(grid: &SdfGrid, silhouettes: &[Silhouette]) -> Mesh {
         return mesh;
     }
     let largest = TriangleBvh::new(&mesh);
-    // Rays through pixels well inside a mask that miss the surface; other columns in each row, whatever the width.
+    // Rays through pixels well inside a mask that miss the surface; other columns in each row,
+    // whatever the width.
     let missing = |view: &Silhouette| -> Vec<Ray> {
         let width = view.camera.width as usize;
         let is_asked = |i: &usize| (i % width + 3 * (i / width)).is_multiple_of(PART_STRIDE);
@@ -477,7 +502,8 @@ mod tests {
         (p.length() - 0.5).min(horn)
     }
 
-    /// Views of the object; in those of `blind` the mask ends at a height, as if the horn had been too dark.
+    /// Views of the object; in those of `blind` the mask ends at a height, as if the horn had been
+    /// too dark.
     fn horned_views(blind: &[usize]) -> Vec<Silhouette> {
         let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 64, horned);
         let hidden = |view: usize, point: Vec3| blind.contains(&view) && point.y >= 0.5;
@@ -544,7 +570,8 @@ mod tests {
         part(Vec3::new(0.0, 0.2, 0.0), Vec3::new(0.6, 0.1, 0.4)).min(leg(-0.5)).min(leg(0.5))
     }
 
-    /// Masks of the table: many from above, two that see between its legs. `wrong` changes what the masks show, by view and point.
+    /// Masks of the table: many from above, two that see between its legs. `wrong` changes what the
+    /// masks show, by view and point.
     fn table_views(wrong: impl Fn(usize, Vec3) -> bool + Sync) -> Vec<Silhouette> {
         let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 80, table);
         let above = (0..60).map(|k| {

@@ -1,4 +1,5 @@
-//! The object's shape from photographs with masks: a signed distance field, fitted through the same stages as light and material.
+//! The object's shape from photographs with masks: a signed distance field, fitted through the same
+//! stages as light and material.
 //!
 //! | module | holds |
 //! | --- | --- |
@@ -50,7 +51,8 @@ fn size(grid: &SdfGrid) -> [usize; 3] {
     [grid.side as usize; 3]
 }
 
-/// The vertex and those within one cell of it along each axis, by rising index, with the number of axes along which each differs.
+/// The vertex and those within one cell of it along each axis, by rising index, with the number of
+/// axes along which each differs.
 fn cube(grid: &SdfGrid, row: usize) -> impl Iterator<Item = (usize, i32)> {
     let vertex = grid.vertex(row).as_ivec3();
     let offsets = (0..27).map(|k| IVec3::new(k % 3, k / 3 % 3, k / 9) - 1);
@@ -71,7 +73,8 @@ fn volume(grid: &SdfGrid) -> usize {
     grid.values.iter().filter(|value| **value < 0.0).count()
 }
 
-/// Visits all that is `open` and reached from `starts`, from near to far; it then is no longer open.
+/// Visits all that is `open` and reached from `starts`, from near to far; it then is no longer
+/// open.
 fn flood<N: Iterator<Item = usize>>(
     starts: impl IntoIterator<Item = usize>,
     open: &mut [bool],

@@ -1,15 +1,17 @@
 //! Outlines: moves the surface so that its contours meet the outlines of the masks.
 //!
-//! A fit of the field determines an object's outline to a fraction of a cell, and smoothness pulls it inward; masks show it to a
-//! fraction of a pixel. An edge of the extracted mesh between a triangle that faces the camera and one that does not lies on a contour. Where
-//! nothing of the object is seen just beyond it, this contour is the object's outline in that view, and its distance to the mask's is what
-//! its vertices are to move along their normals. All views vote; a thin plate carries the votes to the vertices that are contours in no view.
+//! A fit of the field determines an object's outline to a fraction of a cell, and smoothness pulls
+//! it inward; masks show it to a fraction of a pixel. An edge of the extracted mesh between a
+//! triangle that faces the camera and one that does not lies on a contour. Where nothing of the
+//! object is seen just beyond it, this contour is the object's outline in that view, and its
+//! distance to the mask's is what its vertices are to move along their normals. All views vote; a
+//! thin plate carries the votes to the vertices that are contours in no view.
 //!
-//! The field moves, not the mesh: a mesh folds and tears where sheets meet. A displacement t along the normal is φ − t, with t carried
-//! from the vertices to the grid around them.
+//! The field moves, not the mesh: a mesh folds and tears where sheets meet. A displacement t along
+//! the normal is φ − t, with t carried from the vertices to the grid around them.
 //!
-//! Source: contour generators as constraints on a surface (Cipolla and Giblin, "Visual Motion of Curves and Surfaces", 2000);
-//! the plate as in [`stereo`](crate::shape::stereo).
+//! Source: contour generators as constraints on a surface (Cipolla and Giblin, "Visual Motion of
+//! Curves and Surfaces", 2000); the plate as in [`stereo`](crate::shape::stereo).
 
 use crate::shape::hull::extract_parts;
 use crate::shape::shell::{Plate, Shell, area_vector};
@@ -26,12 +28,14 @@ use std::sync::Arc;
 
 /// Rounds: a moved surface has other contours.
 const ROUNDS: usize = 3;
-/// Farthest outline that is taken for that of a contour, in mean edges and in pixels, whichever is more.
+/// Farthest outline that is taken for that of a contour, in mean edges and in pixels, whichever is
+/// more.
 const REACH: (f32, f32) = (2.0, 4.0);
-/// Distance at which a vote counts a quarter, relative to the mean, and the least in pixels: masks that are wrong lose against those that
-/// are not.
+/// Distance at which a vote counts a quarter, relative to the mean, and the least in pixels: masks
+/// that are wrong lose against those that are not.
 const QUARTER_DISTANCE: (f32, f32) = (2.0, 1.0);
-/// Pixels beyond a contour at which nothing of the object may be seen. More would count the dents between bumps as outlines.
+/// Pixels beyond a contour at which nothing of the object may be seen. More would count the dents
+/// between bumps as outlines.
 const BEYOND: f32 = 0.25;
 /// Least cosine in the picture between a contour's normal and the direction to the mask's outline.
 const LEAST_COSINE: f32 = 0.5;
@@ -39,23 +43,26 @@ const LEAST_COSINE: f32 = 0.5;
 const HELD: f32 = 0.005;
 /// Votes beyond which more do not hold a vertex more strongly.
 const MOST_VOTES: f32 = 4.0;
-/// Mean distance of the given mesh from the outlines, in pixels, up to which votes have full weight beside the shading of a fit; beyond it
-/// the weight falls with its square.
+/// Mean distance of the given mesh from the outlines, in pixels, up to which votes have full weight
+/// beside the shading of a fit; beyond it the weight falls with its square.
 const SHARP: f32 = 0.01;
 /// Weight of the squared Laplacian of displacements.
 const BENDING: f32 = 10.0;
-/// Largest part of the distance to the opposite side, within or across a gap, that a vertex moves in a round.
+/// Largest part of the distance to the opposite side, within or across a gap, that a vertex moves
+/// in a round.
 const ROOM: f32 = 0.15;
 /// Height of a ray's start above the surface, in cells.
 const LIFT: f32 = 0.06;
-/// Cells around a vertex to which its displacement is carried, and the largest displacement, which must stay within.
+/// Cells around a vertex to which its displacement is carried, and the largest displacement, which
+/// must stay within.
 const CARRIED: i32 = 3;
 const MOST: f32 = 2.0;
 /// Layers of the grid to which a task carries.
 const LAYERS: usize = 8;
 /// Standard deviation in cells of the weights with which displacements are carried.
 const SPREAD: f32 = 0.7;
-/// Standard deviation in cells of the weights by the difference between a distance and that along the vertex's normal.
+/// Standard deviation in cells of the weights by the difference between a distance and that along
+/// the vertex's normal.
 const SHEET: f32 = 0.3;
 
 /// Result of the motion to outlines.
@@ -67,8 +74,8 @@ pub struct OutlineReport {
     pub after: f32,
 }
 
-/// Moves the surface of `grid` so that its contours meet the outlines of the masks. A run that is stopping
-/// ([`is_stopping`]) moves it no further.
+/// Moves the surface of `grid` so that its contours meet the outlines of the masks. A run that is
+/// stopping ([`is_stopping`]) moves it no further.
 pub(crate) fn fit_outlines(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> OutlineReport {
     let mut report = OutlineReport::default();
     for round in 0..=ROUNDS {
@@ -87,13 +94,15 @@ pub(crate) fn fit_outlines(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> Ou
     report
 }
 
-/// The outlines of masks beside other evidence, such as the shading, by which a mesh moves. A look at them is short and does not stop with
-/// a run.
+/// The outlines of masks beside other evidence, such as the shading, by which a mesh moves. A look
+/// at them is short and does not stop with a run.
 pub(crate) struct OutlineGuide {
     silhouettes: Arc<[Silhouette]>,
-    /// Displacements by which the votes would move the given mesh, whose outlines count as right, world units.
+    /// Displacements by which the votes would move the given mesh, whose outlines count as right,
+    /// world units.
     given: Vec<f32>,
-    /// Weight of the votes, at most 1: with the inverse square of the given mesh's mean distance, for that tells how sharp the masks are.
+    /// Weight of the votes, at most 1: with the inverse square of the given mesh's mean distance,
+    /// for that tells how sharp the masks are.
     weight: f32,
 }
 
@@ -104,7 +113,8 @@ impl OutlineGuide {
         Self { given: votes.displacements(shell, weight), silhouettes, weight }
     }
 
-    /// How far the vertices of the mesh, which has moved, are to move along their normals for its outlines to be what they were, world units.
+    /// How far the vertices of the mesh, which has moved, are to move along their normals for its
+    /// outlines to be what they were, world units.
     pub(crate) fn displacements(&self, shell: &Shell, bvh: &TriangleBvh) -> Vec<f32> {
         let votes = outline_votes(shell, bvh, &self.silhouettes, || false);
         let now = votes.displacements(shell, self.weight);
@@ -122,14 +132,16 @@ pub(crate) struct OutlineVotes {
 }
 
 impl OutlineVotes {
-    /// The displacements along the normals that the votes, times `weight`, ask for, carried by a thin plate to all vertices, world units.
+    /// The displacements along the normals that the votes, times `weight`, ask for, carried by a
+    /// thin plate to all vertices, world units.
     fn displacements(&self, shell: &Shell, weight: f32) -> Vec<f32> {
         let held = |plate: &Plate| Plate { hold: HELD + weight * plate.hold, pull: weight * plate.pull };
         shell.graph.bent(&self.plates.iter().map(held).collect::<Vec<Plate>>(), BENDING)
     }
 }
 
-/// An edge, with what decides whether it lies on a contour: a view looks at all of them, one after the other.
+/// An edge, with what decides whether it lies on a contour: a view looks at all of them, one after
+/// the other.
 struct Edge {
     ends: [u32; 2],
     at: Vec3,
@@ -208,8 +220,9 @@ pub(crate) fn outline_votes(
     OutlineVotes { plates, mean_distance, none: count == 0 }
 }
 
-/// How far beyond a contour at `at` the mask's outline lies, in pixels, the world size of a pixel there, and the unit vector outward, across
-/// the ray; `None` if the contour is not the object's outline, or the mask has none nearby.
+/// How far beyond a contour at `at` the mask's outline lies, in pixels, the world size of a pixel
+/// there, and the unit vector outward, across the ray; `None` if the contour is not the object's
+/// outline, or the mask has none nearby.
 fn outline(
     bvh: &TriangleBvh,
     view: &Silhouette,
@@ -236,8 +249,8 @@ fn outline(
     is_outline.then_some((-distance / slope, pixel_size, outward))
 }
 
-/// Moves the zero level by `along` (one per vertex, along its normal, world units), but by no more than two cells, and leaves room to the
-/// opposite side. Redistances the field near the surface.
+/// Moves the zero level by `along` (one per vertex, along its normal, world units), but by no more
+/// than two cells, and leaves room to the opposite side. Redistances the field near the surface.
 fn displace(grid: &mut SdfGrid, bvh: &TriangleBvh, shell: &Shell, along: &[f32]) {
     let most = MOST * grid.spacing;
     let room = |i: usize| {
@@ -247,7 +260,8 @@ fn displace(grid: &mut SdfGrid, bvh: &TriangleBvh, shell: &Shell, along: &[f32])
     let along: Vec<f32> = (0..along.len()).into_par_iter().map(room).collect();
     let plane = (grid.side * grid.side) as usize;
     let mut sums = vec![[0.0f32; 2]; grid.values.len()];
-    // Each task has some layers of the grid, and the vertices in their order: their displacements are carried to the grid around them.
+    // Each task has some layers of the grid, and the vertices in their order: their displacements
+    // are carried to the grid around them.
     sums.par_chunks_mut(LAYERS * plane).enumerate().for_each(|(task, sums)| {
         let layers = (task * LAYERS) as u32..(task * LAYERS + sums.len() / plane) as u32;
         let first = grid.index(UVec3::new(0, 0, layers.start));
@@ -275,8 +289,9 @@ fn displace(grid: &mut SdfGrid, bvh: &TriangleBvh, shell: &Shell, along: &[f32])
     grid.redistance_near();
 }
 
-/// A displacement along the normal, of which no more is left than a part of the distance to the opposite side, within or across a gap; the
-/// ray that looks for that starts `lift` away. Zero without a normal.
+/// A displacement along the normal, of which no more is left than a part of the distance to the
+/// opposite side, within or across a gap; the ray that looks for that starts `lift` away. Zero
+/// without a normal.
 pub(crate) fn within_room(bvh: &TriangleBvh, position: Vec3, normal: Vec3, along: f32, lift: f32) -> f32 {
     let direction = normal * along.signum();
     if direction == Vec3::ZERO {

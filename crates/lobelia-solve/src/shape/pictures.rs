@@ -1,4 +1,5 @@
-//! Photographs with masks as small pictures of the object alone, in gray for stereo and in color for hollows.
+//! Photographs with masks as small pictures of the object alone, in gray for stereo and in color
+//! for hollows.
 
 use crate::fit::loss::coded_luminance;
 use crate::shape::silhouette::{Silhouette, pixel_size};
@@ -109,14 +110,16 @@ pub(crate) type ColorPicture = SmallPicture<Vec3A>;
 
 /// Hit of a pixel's ray on a mesh.
 pub(crate) struct Seen {
-    /// Distance along the ray, world units; infinite where there is no mesh or the object is not alone.
+    /// Distance along the ray, world units; infinite where there is no mesh or the object is not
+    /// alone.
     pub distance: f32,
     /// The triangle there; meaningless where there is none.
     pub triangle: u32,
 }
 
 impl<V: PixelValue> SmallPicture<V> {
-    /// The photographs, `factor` times smaller along each axis; those with empty masks are left out.
+    /// The photographs, `factor` times smaller along each axis; those with empty masks are left
+    /// out.
     pub fn of_views(views: &[TrainingView], factor: u32) -> Vec<Self> {
         views.par_iter().filter_map(|view| Self::new(view, factor)).collect()
     }
@@ -145,7 +148,8 @@ impl<V: PixelValue> SmallPicture<V> {
         self.window.pixels(self.camera.width).map(|pixel| self.camera.pixel_ray(pixel as u32))
     }
 
-    /// Casts the rays of the window's pixels onto a mesh. Once a run is stopping ([`is_stopping`]) nothing is hit.
+    /// Casts the rays of the window's pixels onto a mesh. Once a run is stopping ([`is_stopping`])
+    /// nothing is hit.
     pub fn cast(&self, bvh: &TriangleBvh) -> Vec<Seen> {
         let seen = |(ray, value): (Ray, &V)| {
             let hit = if value.is_alone() && !is_stopping() { bvh.nearest(&ray, 0.0) } else { None };
@@ -155,8 +159,8 @@ impl<V: PixelValue> SmallPicture<V> {
         self.rays().zip(&self.values).map(seen).collect()
     }
 
-    /// The bilinear value where a point is seen, with the nearest pixel of the window; `None` if a pixel around it does not show the
-    /// object alone.
+    /// The bilinear value where a point is seen, with the nearest pixel of the window; `None` if a
+    /// pixel around it does not show the object alone.
     #[inline]
     pub fn at(&self, point: Vec3) -> Option<(V::Blend, usize)> {
         let (x, y, _) = self.camera.project(point)?;
@@ -185,7 +189,8 @@ impl<V: PixelValue> SmallPicture<V> {
         self.values[place].is_alone().then_some(place)
     }
 
-    /// Step along a ray for one pixel of a view around, relative to the distance, if the angle to that view has this sine.
+    /// Step along a ray for one pixel of a view around, relative to the distance, if the angle to
+    /// that view has this sine.
     pub fn step(&self, sine: f32) -> f32 {
         1.0 / (focal(&self.camera) * sine)
     }
@@ -195,7 +200,8 @@ impl<V: PixelValue> SmallPicture<V> {
     }
 }
 
-/// The views whose angle beside picture `of`, in degrees as seen from `center`, is among these, by rising `order` of the angle.
+/// The views whose angle beside picture `of`, in degrees as seen from `center`, is among these, by
+/// rising `order` of the angle.
 pub(crate) fn views_beside<V: PixelValue>(
     pictures: &[SmallPicture<V>],
     of: usize,
@@ -212,8 +218,8 @@ pub(crate) fn views_beside<V: PixelValue>(
     beside.into_iter().map(|(_, i)| i).collect()
 }
 
-/// How many times smaller than the photographs pictures are that have so many `pixels` in a `width`, world units, at `middle` in a
-/// typical view; `None` without views.
+/// How many times smaller than the photographs pictures are that have so many `pixels` in a
+/// `width`, world units, at `middle` in a typical view; `None` without views.
 pub(crate) fn picture_factor(views: &[TrainingView], middle: Vec3, width: f32, pixels: f32) -> Option<u32> {
     let footprint = |v: &TrainingView| pixel_size(v.camera) * v.camera.position().distance(middle);
     let typical = median(&mut views.iter().map(footprint).collect::<Vec<f32>>())?;

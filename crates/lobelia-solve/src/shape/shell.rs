@@ -1,4 +1,5 @@
-//! The merged vertices of a mesh: a graph with positions and normals, its smoothing, and thin plates on it.
+//! The merged vertices of a mesh: a graph with positions and normals, its smoothing, and thin
+//! plates on it.
 
 use glam::Vec3;
 use lobelia_geometry::mesh::triangles::Mesh;
@@ -78,7 +79,8 @@ impl VertexGraph {
         })
     }
 
-    /// Displacements t that minimize Σ hold·t² − 2 pull·t + `bending`·|L t|²: a thin plate, held and pulled at its vertices.
+    /// Displacements t that minimize Σ hold·t² − 2 pull·t + `bending`·|L t|²: a thin plate, held
+    /// and pulled at its vertices.
     pub(crate) fn bent(&self, plates: &[Plate], bending: f32) -> Vec<f32> {
         let apply = |t: &[f32]| -> Vec<f32> {
             let curved = self.transposed(&self.laplacian(t));
@@ -90,8 +92,8 @@ impl VertexGraph {
         conjugate_gradients(apply, right, &scale, 1e-7, PLATE_ROUNDS)
     }
 
-    /// Positions x that minimize Σ |x − `positions`|²/trust + `weight`·|L x|²: bumps that are shorter than a patch vanish where votes
-    /// are trusted; vertices without trust stay.
+    /// Positions x that minimize Σ |x − `positions`|²/trust + `weight`·|L x|²: bumps that are
+    /// shorter than a patch vanish where votes are trusted; vertices without trust stay.
     pub(crate) fn faired(&self, positions: &[Vec3], trust: &[f32], weight: f32) -> Vec<Vec3> {
         let steps = by_axis(|axis| {
             let along: Vec<f32> = positions.iter().map(|p| p[axis]).collect();

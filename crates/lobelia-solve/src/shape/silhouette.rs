@@ -1,9 +1,10 @@
-//! The silhouette of a view: the signed distance to the boundary of its mask, the distance of points of space from its cone, and the
-//! loss of pixels near it.
+//! The silhouette of a view: the signed distance to the boundary of its mask, the distance of
+//! points of space from its cone, and the loss of pixels near it.
 //!
-//! The loss compares the coverage of a pixel with the least distance of its ray to the surface. Coverage is
-//! c = clamp(½ − φ/(w ρ), 0, 1), where φ is the least signed distance along the ray, ρ the size of a pixel there and w a width in
-//! pixels. The loss is Huber's of c minus the coverage of the mask; its gradient acts on the surface at the point where the ray is nearest.
+//! The loss compares the coverage of a pixel with the least distance of its ray to the surface.
+//! Coverage is c = clamp(½ − φ/(w ρ), 0, 1), where φ is the least signed distance along the ray, ρ
+//! the size of a pixel there and w a width in pixels. The loss is Huber's of c minus the coverage
+//! of the mask; its gradient acts on the surface at the point where the ray is nearest.
 
 use crate::fit::cameras::AlignedRow;
 use crate::shape::{flood, neighbors};
@@ -16,15 +17,16 @@ use lobelia_geometry::{sdf::LeastDistance, view::PixelWindow, view::raster::sign
 use lobelia_sg::ray::Ray;
 use lobelia_world::sample::pixel::PixelOf;
 
-/// Pixels from the border of a frame within which a view abstains, and the same as a share of the frame's shorter side:
-/// masks are often trimmed there.
+/// Pixels from the border of a frame within which a view abstains, and the same as a share of the
+/// frame's shorter side: masks are often trimmed there.
 const BORDER: f32 = 2.0;
 const BORDER_SHARE: f32 = 0.02;
 /// Pixels around the mask for which the distance is kept.
 const MARGIN: u32 = 16;
 /// Views that must see a point for it to be inside.
 pub(super) const MIN_VIEWS: usize = 3;
-/// Residual at which the Huber loss changes from quadratic to linear, which limits the influence of wrong masks.
+/// Residual at which the Huber loss changes from quadratic to linear, which limits the influence of
+/// wrong masks.
 const HUBER: f32 = 0.25;
 /// Distance from a silhouette, in pixels, within which it is used for camera alignment.
 const ALIGNED_REACH: f32 = 3.0;
@@ -38,12 +40,15 @@ pub struct Silhouette {
     pub(super) mask: StoredMask,
     /// Where `near` lies in the frame.
     window: PixelWindow,
-    /// Signed distance in pixels from the center of each pixel of the window to the boundary of the mask, negative inside.
+    /// Signed distance in pixels from the center of each pixel of the window to the boundary of the
+    /// mask, negative inside.
     near: Vec<f16>,
-    /// The ray through the middle of the mask, and the tangent of the angle around it that holds all of the mask.
+    /// The ray through the middle of the mask, and the tangent of the angle around it that holds
+    /// all of the mask.
     pub(super) middle: Vec3,
     pub(super) spread: f32,
-    /// For each pixel of the mask's window, whether the mask carves alone there; `None` if it is not trusted ([`hull`](crate::shape::hull)).
+    /// For each pixel of the mask's window, whether the mask carves alone there; `None` if it is
+    /// not trusted ([`hull`](crate::shape::hull)).
     pub(super) carves: Option<Vec<bool>>,
 }
 
@@ -89,8 +94,8 @@ impl Silhouette {
         })
     }
 
-    /// The background around the mask, without the mask's holes: for each pixel of the mask's window, whether it is background that reaches
-    /// the window's border.
+    /// The background around the mask, without the mask's holes: for each pixel of the mask's
+    /// window, whether it is background that reaches the window's border.
     pub(super) fn outside(&self) -> Vec<bool> {
         let window = self.mask.window();
         let (width, height) = (window.width as usize, window.height as usize);
@@ -108,7 +113,8 @@ impl Silhouette {
         self.camera.width as usize * self.camera.height as usize
     }
 
-    /// Signed distance in pixels from a pixel's center to the boundary of the mask, negative inside.
+    /// Signed distance in pixels from a pixel's center to the boundary of the mask, negative
+    /// inside.
     pub(super) fn distance(&self, pixel: usize) -> f32 {
         let width = self.camera.width as usize;
         self.distance_at(pixel % width, pixel / width)
@@ -138,7 +144,8 @@ impl Silhouette {
         is_inner(&self.camera, x, y)
     }
 
-    /// Whether the mask is reliable at a pixel, and its boundary more than `depth` pixels outside of that.
+    /// Whether the mask is reliable at a pixel, and its boundary more than `depth` pixels outside
+    /// of that.
     pub(super) fn is_within(&self, pixel: usize, depth: f32) -> bool {
         self.distance(pixel) < -depth && self.is_inner(pixel)
     }
@@ -168,7 +175,8 @@ impl Silhouette {
         is_inner(&self.camera, x, y).then(sighting)
     }
 
-    /// World distance of a point outside the silhouette's cone (negative inside); `None` if the view abstains.
+    /// World distance of a point outside the silhouette's cone (negative inside); `None` if the
+    /// view abstains.
     pub(super) fn world_distance(&self, point: Vec3) -> Option<f32> {
         self.look(point).map(|sighting| sighting.pixels * sighting.pixel_size)
     }
@@ -195,7 +203,8 @@ impl Silhouette {
     }
 }
 
-/// A finite half-precision number, without the call that the conversion by an instruction takes where a program must not rely on it.
+/// A finite half-precision number, without the call that the conversion by an instruction takes
+/// where a program must not rely on it.
 #[inline]
 fn widened(half: f16) -> f32 {
     /// 2¹¹²: the difference between the biases of both exponents.
@@ -253,19 +262,22 @@ impl SilhouetteSample {
     }
 }
 
-/// Where the ray of a sample comes nearest to the surface; what is more than this `width` in pixels inside is enough.
+/// Where the ray of a sample comes nearest to the surface; what is more than this `width` in pixels
+/// inside is enough.
 fn least_distance(grid: &SdfGrid, sample: &SilhouetteSample, width: f32) -> Option<LeastDistance> {
     let far = (grid.origin - sample.ray.origin).length() + grid.spacing * grid.side as f32;
     grid.least_distance(&sample.ray, -width * sample.pixel_size * far)
 }
 
-/// The point where the ray of a sample is nearest, and the derivative of the loss with respect to the distance there.
+/// The point where the ray of a sample is nearest, and the derivative of the loss with respect to
+/// the distance there.
 pub(super) fn loss_derivative(grid: &SdfGrid, sample: &SilhouetteSample, width: f32) -> Option<(Vec3, f32)> {
     let least = least_distance(grid, sample, width)?;
     let scale = width * sample.pixel_size * least.distance;
     let coverage = (0.5 - least.value / scale).clamp(0.0, 1.0);
     let residual = coverage - sample.coverage;
-    // A wrong pixel keeps its derivative where coverage is clamped, so that a missing part can grow back.
+    // A wrong pixel keeps its derivative where coverage is clamped, so that a missing part can grow
+    // back.
     let right = residual == 0.0 || least.value.abs() > 8.0 * scale.max(grid.spacing);
     (!right).then(|| {
         let position = sample.ray.origin + sample.ray.direction * least.distance;
@@ -273,8 +285,8 @@ pub(super) fn loss_derivative(grid: &SdfGrid, sample: &SilhouetteSample, width: 
     })
 }
 
-/// The distance between the silhouettes of the mask and of the surface, and its derivatives with respect to the camera, and to the
-/// object around `center`.
+/// The distance between the silhouettes of the mask and of the surface, and its derivatives with
+/// respect to the camera, and to the object around `center`.
 pub(super) fn aligned_silhouette(
     grid: &SdfGrid,
     camera: &Camera,

@@ -1,4 +1,5 @@
-//! The systems that fit an SDF: retrace, propagate adjoints, smooth, update. Each fetches columns and calls a kernel.
+//! The systems that fit an SDF: retrace, propagate adjoints, smooth, update. Each fetches columns
+//! and calls a kernel.
 
 use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, FIRST_STEP, add_rows, retrace};
 use crate::fit::guard::{StepGuard, is_usable};
@@ -34,7 +35,8 @@ pub struct ShapeSchedule {
     pub silhouette: f32,
     /// Silhouette rays per step.
     pub silhouette_batch: usize,
-    /// Weight of the squared Laplacian of the field at the end; it starts at `FIRST_SMOOTHNESS` times that.
+    /// Weight of the squared Laplacian of the field at the end; it starts at `FIRST_SMOOTHNESS`
+    /// times that.
     pub smoothness: f32,
     /// Rounds of averaging the gradient over neighbors.
     pub blur: u32,
@@ -43,7 +45,8 @@ pub struct ShapeSchedule {
 }
 
 impl ShapeSchedule {
-    /// Completed fraction of the steps that change the shape, in [0, 1]; `None` while the shape is fixed.
+    /// Completed fraction of the steps that change the shape, in [0, 1]; `None` while the shape is
+    /// fixed.
     fn progress(&self, step: u32) -> Option<f32> {
         let moving = self.steps.saturating_sub(self.hold).max(1) as f32;
         (step > self.hold).then(|| (step - self.hold) as f32 / moving)
@@ -93,7 +96,8 @@ pub fn pull_back_to_field(
     Ok(())
 }
 
-/// Gradient: sums the squared error of the window's samples around their surface points, in the second half of a level.
+/// Gradient: sums the squared error of the window's samples around their surface points, in the
+/// second half of a level.
 pub(crate) fn sum_model_error(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
@@ -112,8 +116,8 @@ pub(crate) fn sum_model_error(
     Ok(())
 }
 
-/// Largest normal adjoint of a sample, relative to the root mean square of the window: otherwise a few samples at the edge of a
-/// sharp highlight dominate and dent the surface.
+/// Largest normal adjoint of a sample, relative to the root mean square of the window: otherwise a
+/// few samples at the edge of a sharp highlight dominate and dent the surface.
 pub(super) const OUTLIER: f32 = 1.5;
 
 pub(super) fn root_mean_square(back: &[PointAdjoint]) -> f32 {
@@ -136,7 +140,8 @@ pub fn recast_silhouettes(
     Ok(())
 }
 
-/// Gradient: adds the distances between the silhouettes of masks and field to the normal equations of the cameras.
+/// Gradient: adds the distances between the silhouettes of masks and field to the normal equations
+/// of the cameras.
 pub fn align_silhouettes(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
@@ -179,8 +184,8 @@ pub fn pull_back_silhouettes(
     }
 }
 
-/// Gradient: writes the gradient of the values in bricks, with the smoothness term, blurred, and looks for those that are not finite; clears
-/// the adjoints.
+/// Gradient: writes the gradient of the values in bricks, with the smoothness term, blurred, and
+/// looks for those that are not finite; clears the adjoints.
 pub fn smooth_gradient(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
@@ -256,7 +261,8 @@ const SQUARE_DECAY: f32 = 0.99;
 /// Largest change of a value per step, in cells.
 const STEP_LIMIT: f32 = 0.25;
 
-/// Update: momentum steps with one common scale, so that smooth gradients give smooth steps; redistances periodically.
+/// Update: momentum steps with one common scale, so that smooth gradients give smooth steps;
+/// redistances periodically.
 pub fn move_bricks(rates: Res<StepRates>, schedule: Res<ShapeSchedule>, mut field: ResMut<SdfField>) {
     let Some(progress) = schedule.progress(rates.step) else { return };
     let SdfField { surface, scratch: [_, gradient], mean_square, bricks: at, moments, .. } = &mut *field;

@@ -21,7 +21,8 @@ pub(crate) fn mask(camera: &Camera, covered: impl Fn(&Ray) -> f32 + Sync) -> Sto
     StoredMask::new(&Mask { width, height, coverage })
 }
 
-/// The silhouettes `v0`, `v1`, … of an object whose surface rays meet at a distance; `hidden` says by view and point what a mask lacks.
+/// The silhouettes `v0`, `v1`, … of an object whose surface rays meet at a distance; `hidden` says
+/// by view and point what a mask lacks.
 pub(crate) fn silhouettes_but(
     cameras: &[Camera],
     meets: impl Fn(&Ray) -> Option<f32> + Sync,

@@ -1,12 +1,13 @@
 //! Surface that no photograph sees: spanned like a film of soap.
 //!
-//! Photographs from above leave a cone below the object, those from the front a wedge behind it: the hull is as large as the masks allow.
-//! Nothing in the photographs holds this surface. It moves by its mean curvature, only into the hull, while what is seen stays: a seat
-//! gets a flat bottom. Where a mask would lose its surface, the surface is held too, and the motion begins again. On a fine grid it begins with what it
-//! comes to on a coarser one.
+//! Photographs from above leave a cone below the object, those from the front a wedge behind it:
+//! the hull is as large as the masks allow. Nothing in the photographs holds this surface. It moves
+//! by its mean curvature, only into the hull, while what is seen stays: a seat gets a flat bottom.
+//! Where a mask would lose its surface, the surface is held too, and the motion begins again. On a
+//! fine grid it begins with what it comes to on a coarser one.
 //!
-//! Source: motion of level sets by mean curvature (Osher and Sethian, "Fronts Propagating with Curvature-Dependent Speed", 1988,
-//! ∂φ/∂t = κ |∇φ|).
+//! Source: motion of level sets by mean curvature (Osher and Sethian, "Fronts Propagating with
+//! Curvature-Dependent Speed", 1988, ∂φ/∂t = κ |∇φ|).
 
 use crate::shape::{cube, is_border, silhouette::Silhouette, volume};
 use glam::Vec3;
@@ -14,11 +15,12 @@ use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::sdf::SdfGrid;
 use rayon::prelude::*;
 
-/// Cosine of the angle between ray and normal from which one view, and from which each of two, sees a surface: flatter rays only touch the
-/// cone that the masks leave.
+/// Cosine of the angle between ray and normal from which one view, and from which each of two, sees
+/// a surface: flatter rays only touch the cone that the masks leave.
 const ONE_VIEW: f32 = 0.5;
 const TWO_VIEWS: f32 = 0.2;
-/// Rays of a view per cell, along each axis; cells, and most pixels, within the outline of a mask from which a pixel must not lose its surface.
+/// Rays of a view per cell, along each axis; cells, and most pixels, within the outline of a mask
+/// from which a pixel must not lose its surface.
 const RAYS_PER_CELL: f32 = 2.0;
 const DEPTH: f32 = 1.0;
 const MOST_DEPTH: f32 = 12.0;
@@ -28,7 +30,8 @@ const BAND: f32 = 2.5;
 const MOST_STEPS: usize = 1000;
 const REDISTANCE: usize = 20;
 const LEAST_STEPS: usize = 200;
-/// Cells a side of the grid on which the surface moves farthest; on a finer grid it only gets smooth, in so many steps.
+/// Cells a side of the grid on which the surface moves farthest; on a finer grid it only gets
+/// smooth, in so many steps.
 pub(super) const SPANNED_CELLS: u32 = 128;
 const SMOOTHING_STEPS: usize = 40;
 /// Most motions, each with what the masks lost in the one before held too.
@@ -38,10 +41,11 @@ const TIME_STEP: f32 = 1.0 / 6.0;
 /// Largest curvature that counts, per cell.
 const MOST_CURVATURE: f32 = 2.0;
 
-/// Spans the surface that no silhouette's camera sees; returns the share of the object's volume that goes. A field that is seen from all
-/// sides keeps its bits. On a grid of more than `most` cells a side it begins with the film that it comes to on as many: the film is
-/// smooth, and on fine cells it would move for a time that grows with the square of their number. A run that is stopping
-/// ([`is_stopping`]) leaves the field as it was at the last redistancing.
+/// Spans the surface that no silhouette's camera sees; returns the share of the object's volume
+/// that goes. A field that is seen from all sides keeps its bits. On a grid of more than `most`
+/// cells a side it begins with the film that it comes to on as many: the film is smooth, and on
+/// fine cells it would move for a time that grows with the square of their number. A run that is
+/// stopping ([`is_stopping`]) leaves the field as it was at the last redistancing.
 pub(super) fn span_unseen(grid: &mut SdfGrid, silhouettes: &[Silhouette], most: u32) -> f32 {
     let mut hull = grid.clone();
     hull.redistance_near();
@@ -135,7 +139,8 @@ fn curvature(grid: &SdfGrid, row: usize) -> Option<f32> {
     Some((laplacian - along / slope.length_squared().max(1e-4)).clamp(-limit, limit))
 }
 
-/// The vertices within a cell of those around the surface that is seen: steeply by one view, or by two.
+/// The vertices within a cell of those around the surface that is seen: steeply by one view, or by
+/// two.
 fn seen(grid: &SdfGrid, silhouettes: &[Silhouette]) -> Vec<bool> {
     let of_views: Vec<_> = silhouettes.par_iter().map(|view| seen_by(grid, view)).collect();
     let mut sightings = vec![0u8; grid.values.len()];
@@ -161,7 +166,8 @@ fn mask_pixels<'a>(grid: &SdfGrid, view: &'a Silhouette) -> impl Iterator<Item =
     pixels.filter(|&pixel| view.mask.coverage(pixel) > 0.0).take_while(|_| !is_stopping())
 }
 
-/// The vertices around the surface that one view sees, each once, and whether it sees them steeply enough to count alone.
+/// The vertices around the surface that one view sees, each once, and whether it sees them steeply
+/// enough to count alone.
 fn seen_by(grid: &SdfGrid, view: &Silhouette) -> Vec<(usize, bool)> {
     let mut vertices = Vec::new();
     for pixel in mask_pixels(grid, view) {

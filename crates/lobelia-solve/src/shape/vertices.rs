@@ -1,10 +1,12 @@
 //! The vertices of a mesh as parameters: they move along their normals to match the shading.
 //!
-//! For details that a grid cannot represent, and with all effects of mesh shading, including shadows and reflections. The adjoint of
-//! the normal of a sample is propagated to the normals of vertices, and through the areas of triangles to their positions. Steps are smoothed by
-//! (I + λL)⁻², L the graph's Laplacian, as in Nicolet, Jacobson and Jakob, "Large Steps in Inverse Rendering of Geometry" (2021).
-//! A printed pattern that the texture is too coarse for looks like slopes and would move them as well. Masks are not deceived: every
-//! few moves the contours are brought back to their outlines (`outline`).
+//! For details that a grid cannot represent, and with all effects of mesh shading, including
+//! shadows and reflections. The adjoint of the normal of a sample is propagated to the normals of
+//! vertices, and through the areas of triangles to their positions. Steps are smoothed by (I +
+//! λL)⁻², L the graph's Laplacian, as in Nicolet, Jacobson and Jakob, "Large Steps in Inverse
+//! Rendering of Geometry" (2021). A printed pattern that the texture is too coarse for looks like
+//! slopes and would move them as well. Masks are not deceived: every few moves the contours are
+//! brought back to their outlines (`outline`).
 
 use crate::fit::guard::{StepGuard, is_usable};
 use crate::shape::shell::{Shell, VertexGraph, by_axis, pull_back_unit};
@@ -32,7 +34,8 @@ const HELD: f32 = 0.25;
 /// Root-mean-square length of the first and the last move, in mean edge lengths.
 const RATES: (f32, f32) = (0.04, 0.004);
 const SMOOTHING: f32 = 19.0;
-/// λ of the low-frequency part of the displacement, which is removed at each move: the masks have determined it already.
+/// λ of the low-frequency part of the displacement, which is removed at each move: the masks have
+/// determined it already.
 const WIDE: f32 = 200.0;
 /// Largest displacement of a vertex, in mean edge lengths: it limits the effect of model errors.
 const REACH: f32 = 0.2;
@@ -66,7 +69,8 @@ pub struct VertexPlugin {
     pub surface: Arc<Surface>,
     /// Steps of the fit.
     pub steps: u32,
-    /// The training masks, by [`Silhouette::new`], whose outlines the contours of the mesh are to meet; may be empty.
+    /// The training masks, by [`Silhouette::new`], whose outlines the contours of the mesh are to
+    /// meet; may be empty.
     pub silhouettes: Arc<[Silhouette]>,
 }
 
@@ -141,7 +145,8 @@ pub fn pull_back_to_vertices(
     Ok(())
 }
 
-/// Update: every `MOVE_EVERY` steps, one smoothed step of all vertices along their normals; resets the sums.
+/// Update: every `MOVE_EVERY` steps, one smoothed step of all vertices along their normals; resets
+/// the sums.
 pub fn move_vertices(rates: Res<StepRates>, mut mesh: ResMut<MovingMesh>, mut scenery: ResMut<Scenery>) {
     let MovingMesh { surface, shell, start, positions, adjoint, moments, outlines, steps, .. } = &mut *mesh;
     let done = rates.step as f32 / (*steps).max(1) as f32;
@@ -161,13 +166,15 @@ pub fn move_vertices(rates: Res<StepRates>, mut mesh: ResMut<MovingMesh>, mut sc
     let narrow = without_wide(&shell.graph, start, moved);
     let near = |(start, moved): (&Vec3, Vec3)| *start + (moved - *start).clamp_length_max(reach);
     let mut moved: Vec<Vec3> = start.iter().zip(narrow).map(near).collect();
-    // A move that makes a triangle degenerate is rejected, and one that is not finite starts again from rest.
+    // A move that makes a triangle degenerate is rejected, and one that is not finite starts again
+    // from rest.
     if moved.iter().any(|at| !at.is_finite()) {
         return moments.fill(0.0);
     }
     let mut placed = surface.mesh().clone();
     place(&mut placed, &shell.graph, &moved);
-    // Every few moves, and at the last one, back to the outlines of the masks as far as contours have left them.
+    // Every few moves, and at the last one, back to the outlines of the masks as far as contours
+    // have left them.
     let is_last = rates.step + MOVE_EVERY > *steps;
     if let Some(outlines) = outlines
         && (is_last || (rates.step / MOVE_EVERY).is_multiple_of(OUTLINES_EVERY))

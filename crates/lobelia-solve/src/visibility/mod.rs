@@ -1,6 +1,8 @@
-//! Shadows and interreflection in closed-form shading: occlusion by other parts of the object, and light that they reflect.
+//! Shadows and interreflection in closed-form shading: occlusion by other parts of the object, and
+//! light that they reflect.
 //!
-//! A separate capability in [`Slot::Visibility`](lobelia_world::pipeline::Slot::Visibility); without it all light reaches every point.
+//! A separate capability in [`Slot::Visibility`](lobelia_world::pipeline::Slot::Visibility);
+//! without it all light reaches every point.
 //!
 //! | module | holds |
 //! | --- | --- |
@@ -9,12 +11,13 @@
 //! | `occlusion` | kernels: light on a set of directions, and the part of it that reaches texels |
 //! | `point_visibility` | kernels: the part of it that reaches points, and what narrow lobes mirror of the object |
 //!
-//! Diffuse light has one factor per texel and lobe, interpolated at the point like albedo, so that the light can be fitted with it.
-//! Specular light has one per point, for the mirror direction and the mean roughness of the base materials there. In the adjoint all
-//! factors and the interreflection are constant.
+//! Diffuse light has one factor per texel and lobe, interpolated at the point like albedo, so that
+//! the light can be fitted with it. Specular light has one per point, for the mirror direction and
+//! the mean roughness of the base materials there. In the adjoint all factors and the
+//! interreflection are constant.
 //!
-//! Shadows and interreflection are updated when light or material have changed (`light_or_material_changed`), in a fit at most
-//! every few steps (`refresh_is_due`).
+//! Shadows and interreflection are updated when light or material have changed
+//! (`light_or_material_changed`), in a fit at most every few steps (`refresh_is_due`).
 
 mod object_visibility;
 pub(crate) mod occlusion;
@@ -49,7 +52,8 @@ pub use point_visibility::LobeRays;
 #[derive(Resource, Clone, Copy, Debug)]
 pub struct RefreshDue(pub bool);
 
-/// Shadows and interreflection of the shown material in the Frame phase; needs an [`ObjectVisibility`].
+/// Shadows and interreflection of the shown material in the Frame phase; needs an
+/// [`ObjectVisibility`].
 pub struct FrameVisibilityPlugin;
 
 impl Plugin for FrameVisibilityPlugin {
@@ -69,7 +73,8 @@ pub(crate) fn see_material<M: MaterialSource>() -> ScheduleConfigs<ScheduleSyste
     (refresh, gather_visibility::<false>).chain()
 }
 
-/// Shadows and interreflection of the recovered material in a step of a fit, updated if [`RefreshDue`] is set; needs an [`ObjectVisibility`].
+/// Shadows and interreflection of the recovered material in a step of a fit, updated if
+/// [`RefreshDue`] is set; needs an [`ObjectVisibility`].
 pub(crate) fn see_material_of_step() -> ScheduleConfigs<ScheduleSystem> {
     let is_due = refresh_is_due.and_then(light_or_material_changed::<RecoveredMaterial>);
     (refresh_visibility::<RecoveredMaterial>.run_if(is_due), gather_visibility::<true>).chain()
@@ -93,7 +98,8 @@ type Inputs<M> = Or<(
     Changed<ColumnOf<M, SpecularBlend>>,
 )>;
 
-/// Run condition: whether light or material have changed since the last call, or the last update was for other entities.
+/// Run condition: whether light or material have changed since the last call, or the last update
+/// was for other entities.
 pub fn light_or_material_changed<M: MaterialSource>(
     light: Res<IncidentLight>,
     materials: Res<BaseMaterials>,

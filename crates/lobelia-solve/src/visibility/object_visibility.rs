@@ -23,7 +23,8 @@ const SAME_TURN: f32 = 0.035;
 const MOST_SKIES: usize = 96;
 /// Rotations of which the interreflection is the mean, if there are many.
 const MEAN_SKIES: usize = 6;
-/// Most rotations that each have shadows and interreflection of their own: the placements of an object that is turned over.
+/// Most rotations that each have shadows and interreflection of their own: the placements of an
+/// object that is turned over.
 const FEW_SKIES: usize = 4;
 
 /// Most rows of shadows, but for squares of texels across borders of charts.
@@ -49,8 +50,8 @@ impl VisibilitySettings {
         texels.min(MOST_ROWS)
     }
 
-    /// Estimated bytes for so many covered texels under so many skies of each of so many lights, with 128 lobes and a quarter of the directions above a row
-    /// occluded.
+    /// Estimated bytes for so many covered texels under so many skies of each of so many lights,
+    /// with 128 lobes and a quarter of the directions above a row occluded.
     pub fn bytes(&self, texels: usize, skies: usize, lights: usize) -> usize {
         let directions = self.directions as usize;
         let light = 128 + 48 + size_of::<Mirror>();
@@ -83,8 +84,8 @@ pub struct ObjectVisibility {
     pub(super) stride: usize,
 }
 
-/// The inputs of shadows and interreflection: the light's lobes and the base materials, by entity, the rotation that the light of a picture
-/// has had, and the type of the material.
+/// The inputs of shadows and interreflection: the light's lobes and the base materials, by entity,
+/// the rotation that the light of a picture has had, and the type of the material.
 pub(super) type Made = (Vec<Entity>, Mat3, TypeId);
 
 impl ObjectVisibility {
@@ -126,10 +127,12 @@ impl ObjectVisibility {
         self.texels.bytes() + self.texels.row_count() * per_row * self.parts.len().max(1)
     }
 
-    /// Computes shadows and interreflection for this light and this reflectance (diffuse and specular, by texel).
+    /// Computes shadows and interreflection for this light and this reflectance (diffuse and
+    /// specular, by texel).
     ///
-    /// `turns` are the rotations of the views into the frame of a light that turns with them, by index; empty if it does not. Shadows are those
-    /// of each view, interreflection is the mean of some views if more than four differ.
+    /// `turns` are the rotations of the views into the frame of a light that turns with them, by
+    /// index; empty if it does not. Shadows are those of each view, interreflection is the mean of
+    /// some views if more than four differ.
     pub fn refresh(
         &mut self,
         lobes: &LobeColumns,
@@ -148,8 +151,8 @@ impl ObjectVisibility {
         self.bounces = of_skies.iter().map(bounce).collect();
     }
 
-    /// Irradiance of each row under each sky, and the parts of the lobes that reach it; of many skies the mean of up to [`MEAN_SKIES`], without
-    /// parts.
+    /// Irradiance of each row under each sky, and the parts of the lobes that reach it; of many
+    /// skies the mean of up to [`MEAN_SKIES`], without parts.
     fn direct(&mut self) -> Vec<Vec<Vec3>> {
         let Self { skies, texels, parts, .. } = self;
         if skies.len() <= FEW_SKIES {
@@ -168,9 +171,10 @@ impl ObjectVisibility {
         vec![mean]
     }
 
-    /// Computes the visibility of points, given the direction to the viewer, the pixel and the roughness of each by index; overwrites
-    /// `rows` and `seen`. With `rays`, these find what narrow lobes mirror of the object, and of the points of one pixel, one after another, those that are
-    /// alike have what the first of them mirrors.
+    /// Computes the visibility of points, given the direction to the viewer, the pixel and the
+    /// roughness of each by index; overwrites `rows` and `seen`. With `rays`, these find what
+    /// narrow lobes mirror of the object, and of the points of one pixel, one after another, those
+    /// that are alike have what the first of them mirrors.
     pub fn window(
         &self,
         points: &[SurfacePoint],
@@ -240,7 +244,8 @@ impl ObjectVisibility {
     }
 }
 
-/// The weights of four rows in units of 1/256, so that 255 in all of them stays 255; the row of most weight has what rounding leaves.
+/// The weights of four rows in units of 1/256, so that 255 in all of them stays 255; the row of
+/// most weight has what rounding leaves.
 fn mix_weights(blend: &Blend) -> [u16; 4] {
     let mut weights = blend.map(|(_, weight)| (weight * 256.0) as u16);
     let most = (0..4).fold(0, |most, k| if weights[k] > weights[most] { k } else { most });
@@ -257,8 +262,9 @@ fn mix_parts([a, b, c, d]: [&[u8]; 4], weights: [u16; 4], out: &mut [u8]) {
     }
 }
 
-/// The different ones among the views' rotations, and which of them each is or is nearest to. Those that differ by less than [`SAME_TURN`]
-/// count as one, or by less than a multiple of it that leaves at most [`MOST_SKIES`]. The identity alone if there are none.
+/// The different ones among the views' rotations, and which of them each is or is nearest to. Those
+/// that differ by less than [`SAME_TURN`] count as one, or by less than a multiple of it that
+/// leaves at most [`MOST_SKIES`]. The identity alone if there are none.
 fn distinct_turns(turns: &[Option<Mat3>]) -> (Vec<Mat3>, Vec<usize>) {
     let cosine = |a: &Mat3, b: &Mat3| {
         let trace = a.x_axis.dot(b.x_axis) + a.y_axis.dot(b.y_axis) + a.z_axis.dot(b.z_axis);

@@ -1,8 +1,10 @@
-//! Kernels of [`crate::visibility`]: light on a set of directions, and the part of it that reaches partly occluded texels and points.
+//! Kernels of [`crate::visibility`]: light on a set of directions, and the part of it that reaches
+//! partly occluded texels and points.
 //!
-//! The set has D near-uniform directions, each the center of a cell of 4π/D steradians. A lobe of sharpness λ is convolved with
-//! a Gaussian of the width of a cell, λ' = λ·λ_c/(λ + λ_c) with λ_c = D/2 (2π/λ_c is a cell's solid angle), with the same power, so that
-//! no sharp lobe falls between two directions.
+//! The set has D near-uniform directions, each the center of a cell of 4π/D steradians. A lobe of
+//! sharpness λ is convolved with a Gaussian of the width of a cell, λ' = λ·λ_c/(λ + λ_c) with λ_c =
+//! D/2 (2π/λ_c is a cell's solid angle), with the same power, so that no sharp lobe falls between
+//! two directions.
 
 use crate::visibility::texel_visibility::{TOGETHER, TexelVisibility};
 use fearless_simd::Simd;
@@ -17,7 +19,8 @@ use std::ops::Range;
 
 /// Least sharpness of a lobe.
 const LEAST_LOBE: f32 = 1e-6;
-/// Exponent below which a lobe's weight counts as none (4e-18): long before weights are subnormal numbers, with which processors are many times slower.
+/// Exponent below which a lobe's weight counts as none (4e-18): long before weights are subnormal
+/// numbers, with which processors are many times slower.
 const LEAST_EXPONENT: f32 = -40.0;
 /// Rows that a thread processes at a time.
 const CHUNK: usize = 64;
@@ -26,8 +29,10 @@ pub(crate) const MOST_MIRRORED: f32 = 8.0;
 
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Sky {
-    /// e^{λ'(ξ·d − 1)} of each lobe at each direction, or 0 below e to the power of [`LEAST_EXPONENT`]: those of 16 lobes at all directions, then those of
-    /// the next 16 (padded as the columns are). What is read together, 32 KiB for 512 directions, stays in the nearest cache.
+    /// e^{λ'(ξ·d − 1)} of each lobe at each direction, or 0 below e to the power of
+    /// [`LEAST_EXPONENT`]: those of 16 lobes at all directions, then those of the next 16 (padded
+    /// as the columns are). What is read together, 32 KiB for 512 directions, stays in the nearest
+    /// cache.
     weights: Vec<Row>,
     stride: usize,
     /// The convolved lobes, in columns: axis x, y, z, λ', amplitude r, g, b.
@@ -117,7 +122,8 @@ impl Sky {
         sky
     }
 
-    /// Radiance of the lobes around a direction, convolved with a Gaussian of this sharpness (well above 1).
+    /// Radiance of the lobes around a direction, convolved with a Gaussian of this sharpness (well
+    /// above 1).
     pub fn toward(&self, direction: Vec3, sharpness: f32) -> Vec3 {
         dispatch!(Level::new(), simd => light_toward(simd, &self.narrow, direction, sharpness))
     }
@@ -145,8 +151,8 @@ fn light_toward<S: Simd>(simd: S, lobes: &[Vec<f32>; 7], direction: Vec3, sharpn
     Vec3::from_array(light.map(Lanes::sum))
 }
 
-/// Sharpness of the lobe of the BRDF around the mirrored view, given that of the microfacet normals (2/R⁴) and the cosine of the view
-/// (Wang et al. 2009).
+/// Sharpness of the lobe of the BRDF around the mirrored view, given that of the microfacet normals
+/// (2/R⁴) and the cosine of the view (Wang et al. 2009).
 pub(crate) fn sharpness_of_lobe(of_normals: f32, up: f32) -> f32 {
     of_normals / (4.0 * up.max(0.05))
 }
@@ -156,7 +162,8 @@ pub(crate) fn widened(sharpness: f32, cell: f32) -> f32 {
     sharpness * cell / (sharpness + cell)
 }
 
-/// The irradiance of each row of `visibility`; `parts` becomes the fraction of each lobe's irradiance that reaches it, 0 to 255, in rows of the lobes' stride.
+/// The irradiance of each row of `visibility`; `parts` becomes the fraction of each lobe's
+/// irradiance that reaches it, 0 to 255, in rows of the lobes' stride.
 pub(crate) fn light_rows(visibility: &TexelVisibility, sky: &Sky, parts: &mut Vec<u8>) -> Vec<Vec3> {
     let (count, stride) = (visibility.row_count(), sky.stride);
     parts.clear();
@@ -173,10 +180,12 @@ pub(crate) fn light_rows(visibility: &TexelVisibility, sky: &Sky, parts: &mut Ve
     direct
 }
 
-/// Directions of some rows that other parts of the surface hide, and the light on the rows so far; memory that is used again.
+/// Directions of some rows that other parts of the surface hide, and the light on the rows so far;
+/// memory that is used again.
 #[derive(Default)]
 pub(crate) struct Behind {
-    /// The hidden directions of the rows, one row after another: their numbers, and the cosines with the normal times a cell's solid angle.
+    /// The hidden directions of the rows, one row after another: their numbers, and the cosines
+    /// with the normal times a cell's solid angle.
     hidden: Vec<(u32, f32)>,
     /// Where the hidden directions of each row end.
     ends: Vec<usize>,
@@ -209,7 +218,8 @@ pub(crate) fn light_chunk(
     }
 }
 
-/// All lobes, 16 after 16, for all rows: the parts of them that arrive, as bytes, and their irradiance.
+/// All lobes, 16 after 16, for all rows: the parts of them that arrive, as bytes, and their
+/// irradiance.
 #[inline(always)]
 fn light_all<S: Simd>(simd: S, sky: &Sky, normals: &[Vec3], behind: &mut Behind, parts: &mut [u8]) {
     let count = sky.directions[0].len();
@@ -240,7 +250,8 @@ fn light_all<S: Simd>(simd: S, sky: &Sky, normals: &[Vec3], behind: &mut Behind,
     }
 }
 
-/// The sums over the `hidden` directions of the weights of a vector of lobes, from a lane of their group on.
+/// The sums over the `hidden` directions of the weights of a vector of lobes, from a lane of their
+/// group on.
 #[inline(always)]
 fn light_behind<S: Simd>(simd: S, weights: &[Row], lane: usize, hidden: &[(u32, f32)]) -> Lanes<S> {
     // Four sums, so that one multiplication need not wait for the one before it.
@@ -304,7 +315,8 @@ impl Mirror {
 }
 
 impl Bounce {
-    /// Propagates the `direct` irradiance of each row for `bounces` reflections, with a `reflectance` per texel.
+    /// Propagates the `direct` irradiance of each row for `bounces` reflections, with a
+    /// `reflectance` per texel.
     pub fn new(
         visibility: &TexelVisibility,
         direct: &[Vec3],
@@ -358,7 +370,8 @@ mod tests {
     fn parts_of_lobes_are_what_a_plain_sum_leaves() {
         let surface = Surface::new(ball_over_plate(0.02, 1.01, 0.3), 32).unwrap();
         let visibility = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(512), usize::MAX);
-        // More than two groups of lobes, some of which are sharp enough to weigh nothing at most directions.
+        // More than two groups of lobes, some of which are sharp enough to weigh nothing at most
+        // directions.
         let lobe = |(i, axis): (usize, Vec3)| Lobe {
             axis: axis.into(),
             sharpness: [2.0, 30.0, 900.0][i % 3],

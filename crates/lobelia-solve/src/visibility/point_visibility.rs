@@ -1,8 +1,9 @@
-//! The visibility of a point from the rows around it: the part of the specular light that arrives, and interreflected light.
+//! The visibility of a point from the rows around it: the part of the specular light that arrives,
+//! and interreflected light.
 //!
-//! The directions of [`TexelVisibility`] are too far apart for a narrow lobe of the BRDF: of a glossy surface in which another part is
-//! reflected, a few rays within the lobe say what it meets. Where they meet the surface, that sends diffuse light, and its reflection
-//! of the sky in turn.
+//! The directions of [`TexelVisibility`] are too far apart for a narrow lobe of the BRDF: of a
+//! glossy surface in which another part is reflected, a few rays within the lobe say what it meets.
+//! Where they meet the surface, that sends diffuse light, and its reflection of the sky in turn.
 
 use crate::visibility::occlusion::{Bounce, Cones, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe, widened};
 use crate::visibility::texel_visibility::{MAX_DIRECTIONS, OFFSET, TOGETHER, TexelVisibility};
@@ -16,7 +17,8 @@ use lobelia_sg::{brdf::ndf_sharpness, color::luminance, lanes::Lanes, ray::Hit};
 use lobelia_world::sample::pixel::PixelOf;
 use std::{f32::consts::PI, sync::LazyLock};
 
-/// Directions contribute to specular light where the BRDF lobe is above e to the power of minus this.
+/// Directions contribute to specular light where the BRDF lobe is above e to the power of minus
+/// this.
 const MIRROR_REACH: f32 = 4.0;
 /// Sharpness of a lobe from which rays are cast: R < 0.27 straight on.
 const LEAST_SHARPNESS: f32 = 100.0;
@@ -49,7 +51,8 @@ pub(crate) struct SeenPoint {
 }
 
 impl SeenPoint {
-    /// Whether another point not farther away than `near` mirrors nearly the same: their lobes are turned by at most a quarter of their width.
+    /// Whether another point not farther away than `near` mirrors nearly the same: their lobes are
+    /// turned by at most a quarter of their width.
     fn mirrors_as(&self, other: &Self, near: f32) -> bool {
         let up = self.normal.dot(self.to_viewer);
         let sharpness = sharpness_of_lobe(ndf_sharpness(self.roughness), up);
@@ -60,8 +63,9 @@ impl SeenPoint {
     }
 }
 
-/// For each of `count` points the first one of its pixel, of those one after another, if that mirrors as it does, or else itself. `pixel_of` has the pixel
-/// of a point that is on the object, and `at` the point.
+/// For each of `count` points the first one of its pixel, of those one after another, if that
+/// mirrors as it does, or else itself. `pixel_of` has the pixel of a point that is on the object,
+/// and `at` the point.
 pub(crate) fn first_of_alike(
     count: usize,
     pixel_of: impl Fn(usize) -> Option<PixelOf>,
@@ -112,9 +116,10 @@ pub(crate) struct Surroundings<'a> {
 impl Surroundings<'_> {
     /// The visibility of a point from the rows around it.
     ///
-    /// Specular light is scaled by Σ_d B(d)·L(d) over Σ_d B(d)·sky(d), where B is the lobe of the BRDF around the mirror direction
-    /// (sharpness L/(4 n·v), Wang et al. 2009) times the cosine, and L the incident radiance from d: that of the sky, or of what occludes it. The
-    /// directions d are those of the rows, or for a narrow lobe some within it.
+    /// Specular light is scaled by Σ_d B(d)·L(d) over Σ_d B(d)·sky(d), where B is the lobe of the
+    /// BRDF around the mirror direction (sharpness L/(4 n·v), Wang et al. 2009) times the cosine,
+    /// and L the incident radiance from d: that of the sky, or of what occludes it. The directions
+    /// d are those of the rows, or for a narrow lobe some within it.
     pub fn of(&self, blend: &Blend, point: &SeenPoint) -> PointVisibility {
         let indirect: Vec3 = blend.iter().map(|(row, weight)| self.bounce.indirect[*row] * *weight).sum();
         let part = self.specular_part(blend, point).unwrap_or(Vec3::ONE);
@@ -156,7 +161,8 @@ impl Surroundings<'_> {
         Some((arriving / unhidden.max(floor)).clamp(Vec3::ZERO, Vec3::splat(MOST_MIRRORED)))
     }
 
-    /// The part of the light in a lobe of this `sharpness` around the direction `axis` that arrives at a point, by rays.
+    /// The part of the light in a lobe of this `sharpness` around the direction `axis` that arrives
+    /// at a point, by rays.
     fn part_by_rays(&self, rays: LobeRays, point: &SeenPoint, axis: Vec3, sharpness: f32) -> Vec3 {
         let SeenPoint { position: origin, normal, geometric_normal, .. } = *point;
         let (x, y) = axis.any_orthonormal_pair();
@@ -187,7 +193,8 @@ impl Surroundings<'_> {
         (arriving / unhidden.max(floor)).clamp(Vec3::ZERO, Vec3::splat(MOST_MIRRORED))
     }
 
-    /// Radiance that a place of the surface sends back along a ray that has met it: diffuse, and the sky that it mirrors.
+    /// Radiance that a place of the surface sends back along a ray that has met it: diffuse, and
+    /// the sky that it mirrors.
     fn sent_back(&self, hit: &Hit, direction: Vec3) -> Vec3 {
         if hit.geometric_normal.dot(direction) >= 0.0 {
             return Vec3::ZERO;
@@ -209,15 +216,17 @@ impl Surroundings<'_> {
     }
 }
 
-/// A direction of a lobe: the logarithm of the part of the lobe's power that is farther from its axis; cosine and sine of its angle around the axis.
+/// A direction of a lobe: the logarithm of the part of the lobe's power that is farther from its
+/// axis; cosine and sine of its angle around the axis.
 type InLobe = [f32; 3];
 
 /// Directions of equal weight.
 static SPIRAL: LazyLock<[InLobe; RAYS]> = LazyLock::new(spiral);
 static SPIRAL_OF_STEP: LazyLock<[InLobe; RAYS_OF_STEP]> = LazyLock::new(spiral);
 
-/// Pairs on opposite sides of the axis, so that the mean direction is the axis however few there are. Each pair has as much of the lobe's power around the axis,
-/// and is where the mean of its power is.
+/// Pairs on opposite sides of the axis, so that the mean direction is the axis however few there
+/// are. Each pair has as much of the lobe's power around the axis, and is where the mean of its
+/// power is.
 fn spiral<const COUNT: usize>() -> [InLobe; COUNT] {
     let pairs = (COUNT / 2) as f32;
     // ∫ −ln(1 − p) dp.
@@ -259,7 +268,8 @@ fn directions_near<S: Simd>(simd: S, sky: &Sky, axis: Vec3, least: f32, near: &m
     }
 }
 
-/// A bit for each cone of a vector from the `first` on that has a place whose cosine to `axis` may be above `least`.
+/// A bit for each cone of a vector from the `first` on that has a place whose cosine to `axis` may
+/// be above `least`.
 #[inline(always)]
 fn cones_near<S: Simd>(simd: S, cones: &Cones, first: usize, axis: Vec3, least: f32) -> u64 {
     let axis = axis.to_array().map(|c| Lanes::splat(simd, c));
@@ -274,8 +284,9 @@ fn cones_near<S: Simd>(simd: S, cones: &Cones, first: usize, axis: Vec3, least: 
     (farthest.bits_below(to_axis) | all) & (u64::MAX >> (64 - Lanes::<S>::LEN))
 }
 
-/// The lobe of the BRDF around the mirrored view, `axis`, where its cosine to a direction is above `least`, times the cosine with `normal`: its value at
-/// each direction, in groups of lanes of which a bit of `near` is set, and the light of the whole sky weighted by it.
+/// The lobe of the BRDF around the mirrored view, `axis`, where its cosine to a direction is above
+/// `least`, times the cosine with `normal`: its value at each direction, in groups of lanes of
+/// which a bit of `near` is set, and the light of the whole sky weighted by it.
 #[inline(always)]
 fn weigh_directions<S: Simd>(
     simd: S,
@@ -349,7 +360,8 @@ mod tests {
         Sky::new(&fibonacci_axes(64), &columns, Mat3::IDENTITY)
     }
 
-    /// The part of a narrow lobe around `axis` that arrives over a floor, whose flat triangle has this normal, beside the wall.
+    /// The part of a narrow lobe around `axis` that arrives over a floor, whose flat triangle has
+    /// this normal, beside the wall.
     fn part_over(geometric_normal: Vec3, rays: LobeRays, axis: Vec3, wall: Mirror, sky: &Sky) -> Vec3 {
         let mut visibility = TexelVisibility::default();
         visibility.rows = vec![0];

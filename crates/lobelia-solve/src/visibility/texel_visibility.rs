@@ -1,11 +1,13 @@
 //! Tracing of the directions of each texel that other parts of the surface occlude.
 //!
-//! Rays are cast from every covered texel into the hemisphere above it, along a set of near-uniform directions that is common to all texels. A
-//! row stores one bit per direction, and for each occluded direction the texel that occludes it, for interreflection ([`crate::visibility`]).
+//! Rays are cast from every covered texel into the hemisphere above it, along a set of near-uniform
+//! directions that is common to all texels. A row stores one bit per direction, and for each
+//! occluded direction the texel that occludes it, for interreflection ([`crate::visibility`]).
 //!
-//! A fine texture has more texels than shadows need. Then the texels of a square of k × k in texture space share one row, k the smallest
-//! that leaves at most the wanted number of rows. A square across the border of two charts falls into one patch for each: texels share a
-//! row only where they are near to each other on the surface and face alike.
+//! A fine texture has more texels than shadows need. Then the texels of a square of k × k in
+//! texture space share one row, k the smallest that leaves at most the wanted number of rows. A
+//! square across the border of two charts falls into one patch for each: texels share a row only
+//! where they are near to each other on the surface and face alike.
 //!
 //! Memory per row: one bit per direction, and 4 bytes per occluded direction.
 
@@ -26,13 +28,15 @@ pub(crate) const TOGETHER: usize = 16;
 const CHUNK: usize = 256;
 /// Least cosine between the normals of texels that share a row.
 const ALIKE: f32 = 0.7;
-/// Largest distance between texels that share a row, relative to the square's diagonal at the mean size of a texel.
+/// Largest distance between texels that share a row, relative to the square's diagonal at the mean
+/// size of a texel.
 const NEAR: f32 = 2.0;
 
 /// Occluded directions of the texels of a surface.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TexelVisibility {
-    /// Unit directions over the sphere, the same for every texel; those of each 16 are near each other.
+    /// Unit directions over the sphere, the same for every texel; those of each 16 are near each
+    /// other.
     pub directions: Vec<Vec3>,
     /// Row of each texel; [`TexelVisibility::NONE`] for texels that are not covered.
     pub rows: Vec<u32>,
@@ -44,7 +48,8 @@ pub struct TexelVisibility {
     hidden: Vec<u64>,
     /// Start of the `hiders` of each row, and the end of the last.
     first: Vec<u32>,
-    /// The row of what occludes each occluded direction, in the order of the bits; [`TexelVisibility::NONE`] for a back face.
+    /// The row of what occludes each occluded direction, in the order of the bits;
+    /// [`TexelVisibility::NONE`] for a back face.
     hiders: Vec<u32>,
 }
 
@@ -63,8 +68,8 @@ impl TexelVisibility {
     /// Row of a texel that has none.
     pub const NONE: u32 = u32::MAX;
 
-    /// Traces `directions` from the covered texels of `atlas`, or of more than `most_rows` from squares of them, against `surface`, which
-    /// has the same texels.
+    /// Traces `directions` from the covered texels of `atlas`, or of more than `most_rows` from
+    /// squares of them, against `surface`, which has the same texels.
     ///
     /// # Panics
     /// If the number of directions is not a multiple of 64, or more than `MAX_DIRECTIONS`.
@@ -177,7 +182,8 @@ impl TexelVisibility {
     }
 }
 
-/// Casts rays into those of the directions that are above the surface; returns a bit for each that is occluded, and adds what occludes it to `hiders`.
+/// Casts rays into those of the directions that are above the surface; returns a bit for each that
+/// is occluded, and adds what occludes it to `hiders`.
 fn trace_together(
     surface: &dyn Intersect,
     origin: Vec3,
@@ -217,7 +223,8 @@ pub(super) fn cluster(directions: &mut [Vec3]) {
     cluster(second);
 }
 
-/// The row of each texel, about `most_rows` or fewer, and the texel of each row that stands for it: the one nearest to the middle of the square.
+/// The row of each texel, about `most_rows` or fewer, and the texel of each row that stands for it:
+/// the one nearest to the middle of the square.
 fn patches(atlas: &TexelAtlas, most_rows: usize) -> (Vec<u32>, Vec<u32>) {
     let has_shadows = |t: &usize| atlas.covered[*t] && atlas.normal[*t] != Vec3::ZERO;
     let count = (0..atlas.covered.len()).filter(has_shadows).count();
@@ -297,7 +304,8 @@ mod tests {
 
     #[test]
     fn a_ball_above_a_plate_hides_its_own_disc() {
-        // A ball of radius 0.3 at height 1 over the middle of a thin plate covers 1 − cos(asin 0.3) of 2π there.
+        // A ball of radius 0.3 at height 1 over the middle of a thin plate covers 1 − cos(asin 0.3)
+        // of 2π there.
         let mesh = ball_over_plate(0.02, 1.01, 0.3);
         let surface = Surface::new(mesh, 64).unwrap();
         let visibility = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(4096), usize::MAX);

@@ -1,8 +1,10 @@
-//! Lights of groups of photographs: an object that was photographed in several rooms, or on several days.
+//! Lights of groups of photographs: an object that was photographed in several rooms, or on several
+//! days.
 //!
-//! The first group is lit by the scene's own light. Each further one has a light entity with a [`LightGroup`]; its lobes refer to it by
-//! [`LobeOf`] and are marked as [`GroupLobe`]. All lights have the same number of lobes, so that they can take turns as the
-//! scene's own: a fit exchanges their values, and no kernel knows of more than one light.
+//! The first group is lit by the scene's own light. Each further one has a light entity with a
+//! [`LightGroup`]; its lobes refer to it by [`LobeOf`] and are marked as [`GroupLobe`]. All lights
+//! have the same number of lobes, so that they can take turns as the scene's own: a fit exchanges
+//! their values, and no kernel knows of more than one light.
 
 use super::illuminate::MapLight;
 use super::lights::{FillingLobe, LightMap, LobeOf, LobesOf};
@@ -22,7 +24,8 @@ pub type FittedLobe = (With<LightLobe>, Or<(Without<LobeOf>, With<GroupLobe>)>);
 /// The lobes of a light, and its map, if it has one.
 pub type GroupLight = (Vec<LightLobe>, Option<Arc<MapLight>>);
 
-/// Spawns the lights of the groups after the first. All lights get as many lobes as the largest has, by lobes without radiance.
+/// Spawns the lights of the groups after the first. All lights get as many lobes as the largest
+/// has, by lobes without radiance.
 pub fn spawn_group_lights(world: &mut World, lights: &[GroupLight]) {
     let own = world.query_filtered::<&LightLobe, Without<LobeOf>>().iter(world).count();
     let most = lights.iter().map(|(lobes, _)| lobes.len()).fold(own, usize::max);

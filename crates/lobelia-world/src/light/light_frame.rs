@@ -1,8 +1,10 @@
 //! The frame in which a light stands still.
 //!
-//! A camera that goes around an object leaves the light where it is. Before a turntable the camera stands still and the object turns: seen from
-//! the object, the light goes around with the camera. Lobes keep their axes in the light's own frame, which is a rotation per view
-//! away from the world: surface normals and view directions are rotated into it, and nothing else of shading changes.
+//! A camera that goes around an object leaves the light where it is. Before a turntable the camera
+//! stands still and the object turns: seen from the object, the light goes around with the camera.
+//! Lobes keep their axes in the light's own frame, which is a rotation per view away from the
+//! world: surface normals and view directions are rotated into it, and nothing else of shading
+//! changes.
 //!
 //! | frame | x, y, z of the light | for |
 //! | --- | --- | --- |
@@ -22,7 +24,8 @@ pub enum LightFrame {
     World,
     /// The camera.
     Camera,
-    /// A frame that turns about this axis with the camera, which stands before a turntable at any height: `Turntable(0, 1, 0)`.
+    /// A frame that turns about this axis with the camera, which stands before a turntable at any
+    /// height: `Turntable(0, 1, 0)`.
     Turntable(Vec3),
 }
 
@@ -31,8 +34,8 @@ pub enum LightFrame {
 pub struct OwnLightFrame(pub LightFrame);
 
 impl LightFrame {
-    /// The rotation from the world into the light's frame for a view, given that from its camera's axes (right, down, forward) into the
-    /// world.
+    /// The rotation from the world into the light's frame for a view, given that from its camera's
+    /// axes (right, down, forward) into the world.
     pub fn light_from_world(self, world_from_camera: Mat3) -> Mat3 {
         match self {
             Self::World => Mat3::IDENTITY,
@@ -41,11 +44,13 @@ impl LightFrame {
             Self::Turntable(axis) => {
                 let axis = axis.normalize_or(Vec3::Y);
                 let (side, front) = axis.any_orthonormal_pair();
-                // The side of the picture that lies across the axis keeps its direction in a view along the axis as well.
+                // The side of the picture that lies across the axis keeps its direction in a view
+                // along the axis as well.
                 let [x, y] = [world_from_camera.x_axis, world_from_camera.y_axis];
                 let across = if x.dot(axis).abs() <= y.dot(axis).abs() { x } else { y };
                 let angle = across.dot(side).atan2(across.dot(front));
-                // The sense of rotation about the axis that brings a direction at a positive angle back to `front`.
+                // The sense of rotation about the axis that brings a direction at a positive angle
+                // back to `front`.
                 let turn_back = -axis.dot(front.cross(side)).signum();
                 Mat3::from_quat(Quat::from_axis_angle(axis, turn_back * angle))
             }
@@ -68,8 +73,9 @@ impl LightFrame {
 #[derive(Resource, Clone, Copy, Debug, PartialEq)]
 pub struct PictureRotation(pub Mat3);
 
-/// The axis that a camera without roll turns about, relative to the object, from the views' rotations (camera axes in the world): the
-/// direction across which all the cameras' right sides lie. `None` if there is no such axis.
+/// The axis that a camera without roll turns about, relative to the object, from the views'
+/// rotations (camera axes in the world): the direction across which all the cameras' right sides
+/// lie. `None` if there is no such axis.
 pub fn turning_axis(world_from_camera: &[Mat3]) -> Option<Vec3> {
     /// Largest mean squared cosine between the axis and the right sides.
     const LEVEL: f32 = 0.01;

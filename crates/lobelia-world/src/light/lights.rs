@@ -1,8 +1,9 @@
-//! Lights in a world: lobes are entities, a named light is an entity that its lobes refer to, and the system in
-//! [`Slot::Light`](crate::pipeline::Slot::Light) selects the active light.
+//! Lights in a world: lobes are entities, a named light is an entity that its lobes refer to, and
+//! the system in [`Slot::Light`](crate::pipeline::Slot::Light) selects the active light.
 //!
-//! Lobes that refer to no light are the scene's own light, which a fit optimizes. Relighting means spawning a named light and swapping
-//! in [`provide_light`] with its name; closed forms and the path tracer both use it.
+//! Lobes that refer to no light are the scene's own light, which a fit optimizes. Relighting means
+//! spawning a named light and swapping in [`provide_light`] with its name; closed forms and the
+//! path tracer both use it.
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
@@ -48,7 +49,8 @@ impl LobesOf {
     }
 }
 
-/// The environment map that the lobes of a light approximate. An entity with this component and neither [`LightName`] nor [`LightGroup`] has the map of the scene's own light.
+/// The environment map that the lobes of a light approximate. An entity with this component and
+/// neither [`LightName`] nor [`LightGroup`] has the map of the scene's own light.
 #[derive(Component, Clone)]
 pub struct LightMap(pub Arc<MapLight>);
 
@@ -61,8 +63,8 @@ pub struct IncidentLight {
     pub entities: Vec<Entity>,
     /// The light in a form that can be sampled, for path tracing.
     pub distant: Option<Arc<dyn Illuminate>>,
-    /// The frame of the lobes, for samples of several views, and the placements under them. A picture's light is in the world, turned as its
-    /// camera has it.
+    /// The frame of the lobes, for samples of several views, and the placements under them. A
+    /// picture's light is in the world, turned as its camera has it.
     pub frame: PlacedFrame,
     /// The rotation from the light's frame into the world that the lobes have had already.
     pub turn: Mat3,
@@ -128,7 +130,8 @@ impl Lights<'_, '_> {
 
     /// The frame of the lobes of a light after a rotation into the world, and that rotation.
     fn placed(&self, choice: &LightChoice, frame: Option<LightFrame>) -> (PlacedFrame, Mat3) {
-        // Other lights stand in the world, however the object lies, if they do not say otherwise: a relit object turns under them.
+        // Other lights stand in the world, however the object lies, if they do not say otherwise: a
+        // relit object turns under them.
         let Some(frame) = frame else { return (PlacedFrame::default(), Mat3::IDENTITY) };
         let Some(picture) = &self.picture else {
             let own = self.own_placements.as_deref().filter(|_| *choice == LightChoice::Own);
@@ -140,8 +143,8 @@ impl Lights<'_, '_> {
     }
 }
 
-/// For [`Slot::Light`](crate::pipeline::Slot::Light): selects the active light. With `by_map`, path tracing samples its map, if it has
-/// one; closed forms always use its lobes.
+/// For [`Slot::Light`](crate::pipeline::Slot::Light): selects the active light. With `by_map`, path
+/// tracing samples its map, if it has one; closed forms always use its lobes.
 pub fn provide_light(choice: LightChoice, by_map: bool) -> ScheduleConfigs<ScheduleSystem> {
     provide_turned_light(choice, by_map, Quat::IDENTITY)
 }

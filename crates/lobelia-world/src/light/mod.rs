@@ -12,7 +12,8 @@
 //! | [`lights`] | lobes and named lights as entities, and the system in `Slot::Light` |
 //! | [`map_fit`] | fit of lobes to a map (Levenberg–Marquardt; lobes are added and removed; suns get their own lobes first) |
 //!
-//! Lobes, maps and their fit are of [`math`](lobelia_sg), which knows no ECS; the rest is about the lights of a world.
+//! Lobes, maps and their fit are of [`math`](lobelia_sg), which knows no ECS; the rest is about the
+//! lights of a world.
 
 pub mod groups;
 pub mod light_frame;

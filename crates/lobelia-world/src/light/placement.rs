@@ -1,9 +1,12 @@
-//! Placements: an object that is turned over between two rounds of photographs, so that its underside is seen as well.
+//! Placements: an object that is turned over between two rounds of photographs, so that its
+//! underside is seen as well.
 //!
-//! Cameras are given relative to the object: it stays where it is, and the room turns around it. Its light is that of one room all the time, and
-//! each placement has a rotation that says how the object lies in it, relative to the first. The lobes of the light, its frame
-//! ([`LightFrame`]) and all shadows stay what they are; a view's rotation into the light's frame is that of the frame after that of its placement.
-//! A placement in another room has a light of its own ([`LightGroup`]), in the axes of the object.
+//! Cameras are given relative to the object: it stays where it is, and the room turns around it.
+//! Its light is that of one room all the time, and each placement has a rotation that says how the
+//! object lies in it, relative to the first. The lobes of the light, its frame ([`LightFrame`]) and
+//! all shadows stay what they are; a view's rotation into the light's frame is that of the frame
+//! after that of its placement. A placement in another room has a light of its own
+//! ([`LightGroup`]), in the axes of the object.
 
 use super::light_frame::{LightFrame, OwnLightFrame};
 use bevy_ecs::prelude::{Component, Resource, World};
@@ -35,7 +38,8 @@ pub enum TurnSource {
 /// The rotation of a placement, and the light there.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlacementTurn {
-    /// From the object's axes (the world's, in which the cameras are) to those that it has in the first placement.
+    /// From the object's axes (the world's, in which the cameras are) to those that it has in the
+    /// first placement.
     pub room_from_object: Quat,
     /// Where it is from.
     pub source: TurnSource,
@@ -55,7 +59,8 @@ impl PlacementTurn {
     }
 }
 
-/// The placements of the object under the scene's own light, by number; empty if it has only one. The first has the identity.
+/// The placements of the object under the scene's own light, by number; empty if it has only one.
+/// The first has the identity.
 #[derive(Resource, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Placements(pub Vec<PlacementTurn>);
 
@@ -115,13 +120,15 @@ impl PlacedFrame {
         self.frame == LightFrame::World && self.placements.0.iter().all(lies)
     }
 
-    /// The rotation from the object's axes (the world's) into the light's frame for a view, given that from its camera's axes into the world.
+    /// The rotation from the object's axes (the world's) into the light's frame for a view, given
+    /// that from its camera's axes into the world.
     pub fn light_from_world(&self, world_from_camera: Mat3, placement: Placement) -> Mat3 {
         light_from_world(self.frame, world_from_camera, self.placements.room_from_object(placement))
     }
 }
 
-/// The rotation from the world into the light's frame for a view of an object that has this rotation in the room.
+/// The rotation from the world into the light's frame for a view of an object that has this
+/// rotation in the room.
 pub fn light_from_world(frame: LightFrame, world_from_camera: Mat3, room_from_object: Mat3) -> Mat3 {
     frame.light_from_world(room_from_object * world_from_camera) * room_from_object
 }

@@ -1,10 +1,13 @@
-//! Material edits: entities whose components describe what changes, how, and where; and the kernel that applies one.
+//! Material edits: entities whose components describe what changes, how, and where; and the kernel
+//! that applies one.
 //!
-//! An edit is an entity with an [`EditName`] (which edits belong together), an [`EditOrder`], an [`EditTarget`], an [`EditAction`]
-//! and an [`EditRegion`]. [`show_edited`](super::shown::show_edited) applies the edits of one name to the shown material.
+//! An edit is an entity with an [`EditName`] (which edits belong together), an [`EditOrder`], an
+//! [`EditTarget`], an [`EditAction`] and an [`EditRegion`].
+//! [`show_edited`](super::shown::show_edited) applies the edits of one name to the shown material.
 //!
-//! An edit of the specular material inside a region splits every base material with a weight there: the edited copy gets
-//! the region's part of the blend weights, so that roughness may vary over the surface.
+//! An edit of the specular material inside a region splits every base material with a weight there:
+//! the edited copy gets the region's part of the blend weights, so that roughness may vary over the
+//! surface.
 
 use super::material_source::check_numbers;
 use super::{
@@ -115,7 +118,8 @@ impl MaterialState {
         self.lobes.iter().enumerate().filter_map(|(number, lobe)| Some((number, lobe.as_ref()?)))
     }
 
-    /// The base material of the whole object, if it has only one and its weight is one at every texel.
+    /// The base material of the whole object, if it has only one and its weight is one at every
+    /// texel.
     pub fn uniform(&self) -> Option<SpecularLobe> {
         let [Some(one)] = self.lobes[..] else { return None };
         self.blends.iter().all(|blend| *blend == SpecularBlend::default()).then_some(one)
@@ -125,7 +129,8 @@ impl MaterialState {
 /// Applies one edit.
 ///
 /// # Errors
-/// If the object would need more than [`MAX_SPECULAR_LOBES`] base materials, or the edit has another number of texels than the object.
+/// If the object would need more than [`MAX_SPECULAR_LOBES`] base materials, or the edit has
+/// another number of texels than the object.
 pub fn apply_edit(
     state: &mut MaterialState,
     target: EditTarget,
@@ -163,7 +168,8 @@ pub fn apply_edit(
     }
 }
 
-/// Edits the base materials; inside a region, copies of them that get its part of the blend weights.
+/// Edits the base materials; inside a region, copies of them that get its part of the blend
+/// weights.
 fn edit_lobes(
     state: &mut MaterialState,
     region: Option<&[f32]>,
@@ -181,7 +187,8 @@ fn edit_lobes(
         if !lives_there || edited == lobe {
             continue;
         }
-        // A material that lies in the region with all its weight needs no copy, such as that of an earlier edit of the region.
+        // A material that lies in the region with all its weight needs no copy, such as that of an
+        // earlier edit of the region.
         if state.blends.iter().zip(region).all(|(b, r)| *r >= 1.0 || b.0[k] <= 0.0) {
             state.lobes[k] = Some(edited);
             continue;

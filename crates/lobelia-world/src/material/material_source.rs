@@ -57,7 +57,8 @@ pub struct BaseMaterials {
     pub lobes: Vec<(usize, SpecularLobe)>,
     /// Their entities.
     pub entities: Vec<Entity>,
-    /// Whether blend weights are used: false if the only material is number 0 and has weight 1 at every texel.
+    /// Whether blend weights are used: false if the only material is number 0 and has weight 1 at
+    /// every texel.
     pub blended: bool,
 }
 
@@ -77,7 +78,8 @@ type ChangedBlends<M> = (Changed<<M as MaterialSource>::Column<SpecularBlend>>, 
 /// Texels with blend weights.
 type BlendedTexels<M> = (With<<M as MaterialSource>::Column<SpecularBlend>>, With<TexelIndex>);
 
-/// Run condition: whether the blend weights of a texel have changed, or texels have been added or removed.
+/// Run condition: whether the blend weights of a texel have changed, or texels have been added or
+/// removed.
 pub fn blends_changed<M: MaterialSource>(
     changed: Query<(), ChangedBlends<M>>,
     texels: Query<(), BlendedTexels<M>>,

@@ -1,10 +1,12 @@
 //! Material: diffuse albedo and blend weights of texels, base materials, and edits.
 //!
-//! A texel has a [`TexelIndex`], its number in the atlas. A base material is an entity with a [`SpecularLobe`] and a number
-//! ([`BaseMaterial`]); weight k of a texel's [`SpecularBlend`] belongs to base material k, independently of the order of entities.
+//! A texel has a [`TexelIndex`], its number in the atlas. A base material is an entity with a
+//! [`SpecularLobe`] and a number ([`BaseMaterial`]); weight k of a texel's [`SpecularBlend`]
+//! belongs to base material k, independently of the order of entities.
 //!
-//! The result of a fit is the *recovered* material. The system in [`Slot::Material`](crate::pipeline::Slot::Material) computes the
-//! *shown* material from it, in separate components ([`Shown`]).
+//! The result of a fit is the *recovered* material. The system in
+//! [`Slot::Material`](crate::pipeline::Slot::Material) computes the *shown* material from it, in
+//! separate components ([`Shown`]).
 //!
 //! | module | holds |
 //! | --- | --- |
@@ -38,7 +40,8 @@ pool_index! {
 /// The texels as a system parameter: columns `D` in the order of [`TexelIndex`].
 pub type Texels<'w, 's, D> = Pool<'w, 's, TexelIndex, D>;
 
-/// Number of a base material, the index of its weight in [`SpecularBlend`]: 0 to [`MAX_SPECULAR_LOBES`] − 1, each at most once.
+/// Number of a base material, the index of its weight in [`SpecularBlend`]: 0 to
+/// [`MAX_SPECULAR_LOBES`] − 1, each at most once.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct BaseMaterial(pub u32);
 
@@ -62,8 +65,9 @@ impl SpecularLobe {
         Self { albedo, roughness, ndf: Ndf::Sg }
     }
 
-    /// Whether its reflections have edges that photographs can be compared by (R < 0.5) and are brighter than those of plastic, glaze
-    /// and varnish (specular albedo 0.04 to 0.08), as those of metal are. They are seen at other depths than the surface.
+    /// Whether its reflections have edges that photographs can be compared by (R < 0.5) and are
+    /// brighter than those of plastic, glaze and varnish (specular albedo 0.04 to 0.08), as those
+    /// of metal are. They are seen at other depths than the surface.
     pub fn is_mirror_like(&self) -> bool {
         self.roughness < 0.5 && self.albedo.max_element() > 0.1
     }
@@ -86,14 +90,14 @@ impl Default for SpecularLobe {
 #[require(SpecularBlend, DiffuseSheen, DiffuseTilt, Shown<DiffuseAlbedo>)]
 pub struct DiffuseAlbedo(pub Vec3);
 
-/// Difference s between a texel's diffuse albedo along the surface and straight on, linear RGB in [−1, 1]; the sum with
-/// [`DiffuseAlbedo`] is in [0, 1]. See [`sheen`].
+/// Difference s between a texel's diffuse albedo along the surface and straight on, linear RGB in
+/// [−1, 1]; the sum with [`DiffuseAlbedo`] is in [0, 1]. See [`sheen`].
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[require(Shown<DiffuseSheen>)]
 pub struct DiffuseSheen(pub Vec3);
 
-/// How much brighter a texel's diffuse albedo is toward one side: a vector in the object's axes, at most
-/// 0.9 long. See [`tilt`].
+/// How much brighter a texel's diffuse albedo is toward one side: a vector in the object's axes, at
+/// most 0.9 long. See [`tilt`].
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[require(Shown<DiffuseTilt>)]
 pub struct DiffuseTilt(pub Vec3);
@@ -101,13 +105,15 @@ pub struct DiffuseTilt(pub Vec3);
 /// Most specular lobes an object may have.
 pub const MAX_SPECULAR_LOBES: usize = 8;
 
-/// Blend weights of the base materials at a texel; they sum to at most one; the remainder has no specular light.
+/// Blend weights of the base materials at a texel; they sum to at most one; the remainder has no
+/// specular light.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[require(Shown<SpecularBlend>)]
 pub struct SpecularBlend(pub [f32; MAX_SPECULAR_LOBES]);
 
 impl SpecularBlend {
-    /// The mean roughness of base materials (with their numbers) with these weights; 1 if all weights are zero.
+    /// The mean roughness of base materials (with their numbers) with these weights; 1 if all
+    /// weights are zero.
     pub fn roughness<'a>(&self, materials: impl IntoIterator<Item = (usize, &'a SpecularLobe)>) -> f32 {
         let weighted = |(sum, total): (f32, f32), (k, lobe): (usize, &SpecularLobe)| {
             (sum + lobe.roughness * self.0[k], total + self.0[k])
@@ -129,8 +135,8 @@ impl Default for SpecularBlend {
     }
 }
 
-/// What a texel or base material shows in place of a component of the recovered material. Edits of a region add base materials that
-/// exist only in the shown material.
+/// What a texel or base material shows in place of a component of the recovered material. Edits of
+/// a region add base materials that exist only in the shown material.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shown<T: Send + Sync + 'static>(pub T);
 
@@ -155,7 +161,8 @@ pub fn spawn_materials(world: &mut World, lobes: &[SpecularLobe]) {
     world.spawn_batch(materials);
 }
 
-/// Replaces all base materials by others, with the numbers 0, 1, …, and the blend of every texel by `blend`.
+/// Replaces all base materials by others, with the numbers 0, 1, …, and the blend of every texel by
+/// `blend`.
 ///
 /// # Errors
 /// If the pool of texels is incomplete.
@@ -189,7 +196,8 @@ pub fn first_material(world: &mut World) -> SpecularLobe {
     recovered_materials(world).first().map(|(_, lobe)| *lobe).unwrap_or_default()
 }
 
-/// The entities of the texels in the order of [`TexelIndex`]. Insert components in this order, so that tables keep it.
+/// The entities of the texels in the order of [`TexelIndex`]. Insert components in this order, so
+/// that tables keep it.
 pub fn texels_in_order(world: &mut World) -> Vec<Entity> {
     let mut query = world.query::<(Entity, &TexelIndex)>();
     let mut texels: Vec<(TexelIndex, Entity)> = query.iter(world).map(|(e, index)| (*index, e)).collect();

@@ -1,13 +1,15 @@
 //! Sheen: a diffuse albedo that depends on the angle of view.
 //!
-//! Woven and coated surfaces show another color along the surface than straight on: threads of the warp hide those of the weft, fibers
-//! scatter forward, a varnish reflects instead of letting light in. With c = max(n·v, 0) the albedo toward a viewer is
+//! Woven and coated surfaces show another color along the surface than straight on: threads of the
+//! warp hide those of the weft, fibers scatter forward, a varnish reflects instead of letting light
+//! in. With c = max(n·v, 0) the albedo toward a viewer is
 //!
 //! ρ(v) = ρ + (1 − c) s,
 //!
-//! where ρ is the texel's [`DiffuseAlbedo`] and s its [`DiffuseSheen`]: linear in both, so that closed forms, shadows and
-//! interreflection stay as they are. The blend by c is that of a layer's *facing* weight in production shaders; it is not
-//! reciprocal. Of `chair`'s error with a single gray specular lobe it explains more than a colored specular albedo per texel does.
+//! where ρ is the texel's [`DiffuseAlbedo`] and s its [`DiffuseSheen`]: linear in both, so that
+//! closed forms, shadows and interreflection stay as they are. The blend by c is that of a layer's
+//! *facing* weight in production shaders; it is not reciprocal. Of `chair`'s error with a single
+//! gray specular lobe it explains more than a colored specular albedo per texel does.
 
 use super::{DiffuseAlbedo, DiffuseSheen, TexelIndex};
 use crate::pipeline::pool::write_column;
@@ -19,7 +21,8 @@ use lobelia_sg::ray::TexelAddress;
 /// The mean of 1 − c over the hemisphere, weighted by c.
 const MEAN_GRAZING: f32 = 1.0 / 3.0;
 
-/// Diffuse albedo toward a viewer at the cosine `facing` = n·v, for the albedo ρ and the sheen s of a point.
+/// Diffuse albedo toward a viewer at the cosine `facing` = n·v, for the albedo ρ and the sheen s of
+/// a point.
 pub(crate) fn albedo_toward(albedo: Vec3, sheen: Vec3, facing: f32) -> Vec3 {
     albedo + sheen * grazing(facing)
 }
@@ -29,7 +32,8 @@ pub fn grazing(facing: f32) -> f32 {
     1.0 - facing.clamp(0.0, 1.0)
 }
 
-/// The part of light that leaves a surface of this albedo and sheen: the mean of ρ(v) over the hemisphere, weighted by c.
+/// The part of light that leaves a surface of this albedo and sheen: the mean of ρ(v) over the
+/// hemisphere, weighted by c.
 pub fn mean_albedo(albedo: Vec3, sheen: Vec3) -> Vec3 {
     albedo + sheen * MEAN_GRAZING
 }
@@ -69,7 +73,8 @@ impl KnownAlong {
     }
 }
 
-/// Sets the recovered albedo of all texels. Where that along the surface is known, the sheen follows.
+/// Sets the recovered albedo of all texels. Where that along the surface is known, the sheen
+/// follows.
 ///
 /// # Errors
 /// If the pool of texels is incomplete.

@@ -1,7 +1,8 @@
-//! The material that a frame shows. It is computed from the recovered one, which never changes, so that edits need not be undone.
+//! The material that a frame shows. It is computed from the recovered one, which never changes, so
+//! that edits need not be undone.
 //!
-//! The system in [`Slot::Material`](crate::pipeline::Slot::Material) writes it: [`show_recovered`], [`show_edited`], or one of your
-//! own ([`Composition::compose`]).
+//! The system in [`Slot::Material`](crate::pipeline::Slot::Material) writes it: [`show_recovered`],
+//! [`show_edited`], or one of your own ([`Composition::compose`]).
 
 use super::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit};
 use super::material_source::{
@@ -26,7 +27,8 @@ type ShownTexel = (
     &'static mut Shown<SpecularBlend>,
 );
 
-/// The system parameter that reads the recovered material and writes the shown one, all of it: see [`Composition::compose`].
+/// The system parameter that reads the recovered material and writes the shown one, all of it: see
+/// [`Composition::compose`].
 #[derive(SystemParam)]
 pub struct Composition<'w, 's> {
     texels: Texels<'w, 's, (TexelColumns<RecoveredMaterial>, ShownTexel)>,
@@ -37,8 +39,9 @@ pub struct Composition<'w, 's> {
 }
 
 impl Composition<'_, '_> {
-    /// Shows what `edit` makes of the recovered material; what it leaves alone is shown as it was recovered. A system of one's own in
-    /// [`Slot::Material`](crate::pipeline::Slot::Material) is a call of this.
+    /// Shows what `edit` makes of the recovered material; what it leaves alone is shown as it was
+    /// recovered. A system of one's own in [`Slot::Material`](crate::pipeline::Slot::Material) is a
+    /// call of this.
     ///
     /// # Errors
     /// If the pool of texels is incomplete, base materials share a number, or `edit` fails.
@@ -83,7 +86,8 @@ type RecoveredChanged = Or<(
     Changed<SpecularLobe>,
 )>;
 
-/// Run condition: whether the recovered material has changed, or base materials have been added or removed.
+/// Run condition: whether the recovered material has changed, or base materials have been added or
+/// removed.
 pub fn recovered_changed(
     changed: Query<(), RecoveredChanged>,
     materials: Query<Entity, With<SpecularLobe>>,
@@ -116,14 +120,15 @@ fn others(known: &mut Vec<Entity>, now: impl Iterator<Item = Entity>) -> bool {
     std::mem::replace(known, now) != *known
 }
 
-/// For [`Slot::Material`](crate::pipeline::Slot::Material): shows the recovered material; runs when it has changed.
+/// For [`Slot::Material`](crate::pipeline::Slot::Material): shows the recovered material; runs when
+/// it has changed.
 pub fn show_recovered() -> ScheduleConfigs<ScheduleSystem> {
     let system = |composition: Composition| composition.compose(|_| Ok(()));
     system.run_if(recovered_changed)
 }
 
-/// For [`Slot::Material`](crate::pipeline::Slot::Material): shows the recovered material with the edits of this name, by ascending
-/// [`EditOrder`]; runs when one of these has changed.
+/// For [`Slot::Material`](crate::pipeline::Slot::Material): shows the recovered material with the
+/// edits of this name, by ascending [`EditOrder`]; runs when one of these has changed.
 pub fn show_edited(name: impl Into<String>) -> ScheduleConfigs<ScheduleSystem> {
     let name = EditName(name.into());
     let system = move |composition: Composition, edits: Query<EditColumns>| {
@@ -150,7 +155,8 @@ pub fn recovered_material(world: &mut World) -> Result<MaterialState> {
     material_state::<RecoveredMaterial>(world)
 }
 
-/// The material that was shown last, as plain columns; base materials that exist only there have their numbers.
+/// The material that was shown last, as plain columns; base materials that exist only there have
+/// their numbers.
 ///
 /// # Errors
 /// If the pool of texels is not whole.
@@ -181,7 +187,8 @@ pub fn spawn_material(world: &mut World, state: &MaterialState) {
     }
 }
 
-/// Marks the recovered and the shown material as changed, so that what is made of them is made again.
+/// Marks the recovered and the shown material as changed, so that what is made of them is made
+/// again.
 pub fn mark_material_changed(world: &mut World) {
     fn mark<T: Component<Mutability = Mutable>>(world: &mut World) {
         world.query::<&mut T>().iter_mut(world).for_each(|mut component| component.set_changed());

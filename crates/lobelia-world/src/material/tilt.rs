@@ -1,15 +1,16 @@
 //! Tilt: a diffuse albedo that depends on the side it is seen from.
 //!
-//! Fibers and brush strokes lean, and relief finer than the mesh turns its lit flanks to one side: such a surface is brighter from there
-//! than from the opposite side, at the same angle. With v⊥ = v − (n·v) n, the part of the view direction along the surface, the
-//! albedo toward a viewer is
+//! Fibers and brush strokes lean, and relief finer than the mesh turns its lit flanks to one side:
+//! such a surface is brighter from there than from the opposite side, at the same angle. With v⊥ =
+//! v − (n·v) n, the part of the view direction along the surface, the albedo toward a viewer is
 //!
 //! ρ(v) = ρ + (1 − c) s + ρ̄ t · v⊥,
 //!
-//! with the albedo ρ and sheen s of [`super::sheen`], their mean ρ̄ over the hemisphere, and the texel's [`DiffuseTilt`] t, in the
-//! object's axes. It is the next order of a series in the view direction, as surface light fields have it (Wood et al. 2000), with the
-//! color of the albedo. The mean over the hemisphere stays ρ̄, so that interreflection and exports are those without a tilt. Like the
-//! sheen, it is not reciprocal.
+//! with the albedo ρ and sheen s of [`super::sheen`], their mean ρ̄ over the hemisphere, and the
+//! texel's [`DiffuseTilt`] t, in the object's axes. It is the next order of a series in the view
+//! direction, as surface light fields have it (Wood et al. 2000), with the color of the albedo. The
+//! mean over the hemisphere stays ρ̄, so that interreflection and exports are those without a tilt.
+//! Like the sheen, it is not reciprocal.
 
 use super::DiffuseTilt;
 use super::sheen::{albedo_toward, mean_albedo};
@@ -41,7 +42,8 @@ impl DirectionalAlbedo {
         })
     }
 
-    /// ρ(v) for the unit `normal` and the unit direction `to_viewer`, in the object's axes; with a tilt, clamped to [0, 1].
+    /// ρ(v) for the unit `normal` and the unit direction `to_viewer`, in the object's axes; with a
+    /// tilt, clamped to [0, 1].
     pub fn toward(&self, normal: Vec3, to_viewer: Vec3) -> Vec3 {
         self.seen_at(normal.dot(to_viewer), along_surface(normal, to_viewer))
     }
@@ -53,7 +55,8 @@ impl DirectionalAlbedo {
             return straight;
         }
         let side = mean_albedo(self.albedo, self.sheen) * self.tilt.dot(side);
-        // Unlike the clamp of vectors, that of numbers keeps what is not a number, which must not pass for black.
+        // Unlike the clamp of vectors, that of numbers keeps what is not a number, which must not
+        // pass for black.
         Vec3::from_array((straight + side).to_array().map(|channel| channel.clamp(0.0, 1.0)))
     }
 }

@@ -1,13 +1,15 @@
 //! Phases, stages, slots and plugins: adding capabilities to the pipeline, swapping systems,
 //! access to pools of entities as slices, and propagation of errors to the caller.
 //!
-//! A [`Pipeline`] is a [`World`] with one schedule for each [`Phase`]; a phase runs its [`Stage`]s in order. A capability is a
-//! [`Plugin`] whose `build` adds all its systems; it can be removed again. A system with alternatives is in a
-//! [`Slot`]: [`Pipeline::swap`] replaces it by another system, between runs.
+//! A [`Pipeline`] is a [`World`] with one schedule for each [`Phase`]; a phase runs its [`Stage`]s
+//! in order. A capability is a [`Plugin`] whose `build` adds all its systems; it can be removed
+//! again. A system with alternatives is in a [`Slot`]: [`Pipeline::swap`] replaces it by another
+//! system, between runs.
 //!
-//! A phase is a schedule, a stage is an ordered set in it, a slot is a set for one exchangeable system. Phases are open: any
-//! [`ScheduleLabel`] can be one ([`Pipeline::add_phase`]). The schedules are in the world's [`Schedules`] resource, which
-//! bevy's tools use. [`pool`] gives kernels the columns of many entities as slices.
+//! A phase is a schedule, a stage is an ordered set in it, a slot is a set for one exchangeable
+//! system. Phases are open: any [`ScheduleLabel`] can be one ([`Pipeline::add_phase`]). The
+//! schedules are in the world's [`Schedules`] resource, which bevy's tools use. [`pool`] gives
+//! kernels the columns of many entities as slices.
 
 pub mod pool;
 
@@ -65,7 +67,8 @@ pub enum Phase {
 pub enum Slot {
     /// The shown material: the recovered one, edited or unchanged (in [`Stage::Gather`], first).
     Material,
-    /// The active light: lobes of one light, or an environment map (in [`Stage::Gather`], after the material).
+    /// The active light: lobes of one light, or an environment map (in [`Stage::Gather`], after the
+    /// material).
     Light,
     /// Shadows and interreflection of the object (in [`Stage::Gather`], last).
     Visibility,
@@ -77,7 +80,8 @@ pub enum Slot {
     Optimizer,
     /// The rays of silhouettes, if cameras are optimized (in [`Stage::Trace`]).
     Recast,
-    /// The surface points of samples, if rays or surface change (in [`Stage::Trace`], after [`Slot::Recast`]).
+    /// The surface points of samples, if rays or surface change (in [`Stage::Trace`], after
+    /// [`Slot::Recast`]).
     Retrace,
     /// The adjoint of a surface that is optimized (in [`Stage::Gradient`], last).
     ShapeGradient,
@@ -112,12 +116,13 @@ impl Slot {
     }
 }
 
-/// The systems of the Gather stage between its slots: interpolation of texels at surface points, base materials in columns.
+/// The systems of the Gather stage between its slots: interpolation of texels at surface points,
+/// base materials in columns.
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct GatherPoints;
 
-/// The systems of the Gradient stage between [`Slot::ShadingAdjoint`] and [`Slot::ShapeGradient`]: sums of the adjoints of samples per
-/// texel, lobe and base material.
+/// The systems of the Gradient stage between [`Slot::ShadingAdjoint`] and [`Slot::ShapeGradient`]:
+/// sums of the adjoints of samples per texel, lobe and base material.
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ScatterAdjoints;
 
@@ -142,8 +147,9 @@ pub type SystemResult = std::result::Result<(), BevyError>;
 struct AddedBy(TypeId);
 
 thread_local! {
-    /// The first error of the innermost run on this thread. bevy's error handler is a function pointer without access to the
-    /// world or the run; but all systems of a phase run on the thread that runs the phase.
+    /// The first error of the innermost run on this thread. bevy's error handler is a function
+    /// pointer without access to the world or the run; but all systems of a phase run on the thread
+    /// that runs the phase.
     static FIRST_ERROR: RefCell<Option<Error>> = const { RefCell::new(None) };
 }
 
@@ -185,8 +191,8 @@ impl Pipeline {
         pipeline
     }
 
-    /// Adds a custom phase with all stages and slots. Its systems run one after another on the calling thread; they are
-    /// parallel inside, over slices.
+    /// Adds a custom phase with all stages and slots. Its systems run one after another on the
+    /// calling thread; they are parallel inside, over slices.
     pub fn add_phase(&mut self, phase: impl ScheduleLabel) -> &mut Self {
         use Stage::*;
         let mut schedule = Schedule::new(phase);
@@ -205,8 +211,8 @@ impl Pipeline {
         self
     }
 
-    /// Builds a plugin into the pipeline. One of the same type that is there already is removed first, so that no system runs
-    /// twice.
+    /// Builds a plugin into the pipeline. One of the same type that is there already is removed
+    /// first, so that no system runs twice.
     pub fn add_plugin<P: Plugin>(&mut self, plugin: &P) -> &mut Self {
         let own = TypeId::of::<P>();
         if !self.plugins.insert(own) {
@@ -218,8 +224,8 @@ impl Pipeline {
         self
     }
 
-    /// Removes every system that a plugin of this type has added, then runs [`Plugin::cleanup`]. Slots that it filled are
-    /// empty afterward; plugins that it added stay.
+    /// Removes every system that a plugin of this type has added, then runs [`Plugin::cleanup`].
+    /// Slots that it filled are empty afterward; plugins that it added stay.
     pub fn remove_plugin<P: Plugin>(&mut self) -> &mut Self {
         let own = TypeId::of::<P>();
         let schedules = self.world.resource::<Schedules>();
@@ -250,8 +256,9 @@ impl Pipeline {
         self
     }
 
-    /// Configures sets of a phase, such as a run condition of a stage. `bevy_ecs` loses conditions that are added to a set which has
-    /// some, after a run; and a condition stays when the plugin that gave it is removed.
+    /// Configures sets of a phase, such as a run condition of a stage. `bevy_ecs` loses conditions
+    /// that are added to a set which has some, after a run; and a condition stays when the plugin
+    /// that gave it is removed.
     ///
     /// # Panics
     /// If there is no such phase.
@@ -285,7 +292,8 @@ impl Pipeline {
     pub fn clear(&mut self, phase: impl ScheduleLabel, set: impl SystemSet) -> &mut Self {
         let set = set.intern();
         let removed = self.world.try_schedule_scope(phase, |world, schedule| {
-            // The graph must be built before systems can be removed. A set that is not in the graph is not an error.
+            // The graph must be built before systems can be removed. A set that is not in the graph
+            // is not an error.
             schedule
                 .initialize(world)
                 .map(|_| schedule.remove_systems_in_set(set, world, ScheduleCleanupPolicy::RemoveSystemsOnly))
@@ -294,11 +302,13 @@ impl Pipeline {
         self
     }
 
-    /// Runs a phase once. As in an update of a bevy app, what was removed can be read (`RemovedComponents`) until the end of the
-    /// next run but one. During the run the world's error handler is the pipeline's.
+    /// Runs a phase once. As in an update of a bevy app, what was removed can be read
+    /// (`RemovedComponents`) until the end of the next run but one. During the run the world's
+    /// error handler is the pipeline's.
     ///
     /// # Errors
-    /// The first error of a system; the systems after it are skipped. [`Error::Run`] if there is no such phase.
+    /// The first error of a system; the systems after it are skipped. [`Error::Run`] if there is no
+    /// such phase.
     pub fn run(&mut self, phase: impl ScheduleLabel) -> Result<()> {
         let phase = phase.intern();
         // A system may run another pipeline, or this one again.
@@ -315,10 +325,12 @@ impl Pipeline {
             let problem = format!("there is no phase {phase:?}: add it with add_phase");
             return Err(Error::run("pipeline", problem));
         }
-        // Otherwise the messages of every despawned sample's components pile up: some hundred bytes a sample of every picture.
+        // Otherwise the messages of every despawned sample's components pile up: some hundred bytes
+        // a sample of every picture.
         self.world.clear_trackers();
         let Some(error) = failed else { return Ok(()) };
-        // Conditions of skipped systems have been evaluated all the same and hold the changes they saw for dealt with.
+        // Conditions of skipped systems have been evaluated all the same and hold the changes they
+        // saw for dealt with.
         mark_material_changed(&mut self.world);
         Err(error)
     }

@@ -1,10 +1,12 @@
 //! Pools: many entities whose columns kernels read as slices.
 //!
-//! A pool is the set of all entities with one index component ([`PoolIndex`]): pixel samples, texels, vertices, bricks. Kernels refer
-//! to a row by that index, never by the position of an entity in a table. While all entities of a pool have the same components and
-//! are in the order of their indices, as after spawning in one batch, columns are slices of the table and nothing is copied. If an
-//! additional component or another order moves entities to other rows or tables, columns are copied in and out in the order of
-//! the indices. The results are the same, but this is slower.
+//! A pool is the set of all entities with one index component ([`PoolIndex`]): pixel samples,
+//! texels, vertices, bricks. Kernels refer to a row by that index, never by the position of an
+//! entity in a table. While all entities of a pool have the same components and are in the order of
+//! their indices, as after spawning in one batch, columns are slices of the table and nothing is
+//! copied. If an additional component or another order moves entities to other rows or tables,
+//! columns are copied in and out in the order of the indices. The results are the same, but this is
+//! slower.
 
 use bevy_ecs::prelude::{Component, Entity, Query, World};
 use bevy_ecs::system::{SystemParam, SystemState};
@@ -41,14 +43,16 @@ macro_rules! pool_index {
 }
 pub use pool_index;
 
-/// A pool as a system parameter: columns `D` (`&T`, `&mut T`, or a tuple of them) of the entities with index `I`.
+/// A pool as a system parameter: columns `D` (`&T`, `&mut T`, or a tuple of them) of the entities
+/// with index `I`.
 #[derive(SystemParam)]
 pub struct Pool<'w, 's, I: PoolIndex, D: Columns + 'static> {
     query: Query<'w, 's, (&'static I, D)>,
 }
 
 impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
-    /// The columns of all rows. Writing to one marks all its components as changed ([`ColumnMut::quiet`] does not).
+    /// The columns of all rows. Writing to one marks all its components as changed
+    /// ([`ColumnMut::quiet`] does not).
     ///
     /// # Errors
     /// If rows are missing or duplicate.
@@ -56,15 +60,18 @@ impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
         self.select(|count| 0..count, true)
     }
 
-    /// The columns of some rows. Writing does not mark them as changed: use this for data that every run recomputes.
+    /// The columns of some rows. Writing does not mark them as changed: use this for data that
+    /// every run recomputes.
     ///
     /// # Errors
-    /// If one of these rows is missing, or duplicate where no table has all of them in order: if one does, no other table is searched.
+    /// If one of these rows is missing, or duplicate where no table has all of them in order: if
+    /// one does, no other table is searched.
     pub fn rows(self, rows: Range<usize>) -> Result<D::Slices<'w>> {
         self.select(|_| rows, false)
     }
 
-    /// The columns of the rows that `choose` returns for the length of the pool; otherwise like [`Self::rows`].
+    /// The columns of the rows that `choose` returns for the length of the pool; otherwise like
+    /// [`Self::rows`].
     ///
     /// # Errors
     /// The errors of [`Self::rows`].
@@ -79,7 +86,8 @@ impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
         let mut chunks: Vec<_> = chunks.filter(|(index, _)| !index.is_empty()).collect();
         let rows = choose(chunks.iter().map(|(index, _)| index.len()).sum());
         if let Some(only) = chunks.iter().position(|(index, _)| in_order(index, &rows)) {
-            // The other chunks, if any, have none of these rows, or duplicates of them, which are not searched for.
+            // The other chunks, if any, have none of these rows, or duplicates of them, which are
+            // not searched for.
             let (_, chunk) = chunks.swap_remove(only);
             return Ok(D::slices(chunk, rows, marks));
         }
@@ -89,7 +97,8 @@ impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
     }
 }
 
-/// Whether the entities at `rows` of a table have these indices. Without early exit, so that it compiles to a vector loop.
+/// Whether the entities at `rows` of a table have these indices. Without early exit, so that it
+/// compiles to a vector loop.
 fn in_order<I: PoolIndex>(index: &[I], rows: &Range<usize>) -> bool {
     let Some(part) = index.get(rows.clone()) else { return false };
     part.iter().zip(rows.clone()).fold(0, |off, (index, row)| off | (index.row() ^ row)) == 0
@@ -124,7 +133,8 @@ fn failed<I: PoolIndex>(problem: impl Into<String>) -> Error {
 
 /// The column types of a [`Pool`]: `&T` and `&mut T` of `Copy` components, and tuples of these.
 pub trait Columns: ContiguousQueryData {
-    /// The columns as slices: `Cow<[T]>` for `&T`, of the table or copied in the order of the indices; [`ColumnMut`] for `&mut T`.
+    /// The columns as slices: `Cow<[T]>` for `&T`, of the table or copied in the order of the
+    /// indices; [`ColumnMut`] for `&mut T`.
     type Slices<'w>;
 
     /// Consecutive rows of a table.
@@ -256,8 +266,8 @@ tuple_columns!(A a, B b, C c, D d, E e, F f);
 /// Rows that are despawned before the messages of their removal are dropped.
 const DESPAWNED_AT_ONCE: usize = 1 << 16;
 
-/// Removes rows of a pool. Of many rows `RemovedComponents` tells of the last alone: the world keeps the room of these messages, which
-/// for the pixels of a fit is as large as the pool.
+/// Removes rows of a pool. Of many rows `RemovedComponents` tells of the last alone: the world
+/// keeps the room of these messages, which for the pixels of a fit is as large as the pool.
 pub fn despawn_rows(world: &mut World, rows: &[Entity]) {
     for (number, part) in rows.chunks(DESPAWNED_AT_ONCE).enumerate() {
         if number > 0 {

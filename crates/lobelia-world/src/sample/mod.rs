@@ -1,6 +1,8 @@
-//! Pixel samples: the entities that are traced, shaded and compared, and the observed pixels that a fit takes them from.
+//! Pixel samples: the entities that are traced, shaded and compared, and the observed pixels that a
+//! fit takes them from.
 //!
-//! The pool of observed pixels holds all pixels that a fit may visit; the pool of samples holds those of one step.
+//! The pool of observed pixels holds all pixels that a fit may visit; the pool of samples holds
+//! those of one step.
 //!
 //! | module | holds |
 //! | --- | --- |
@@ -81,7 +83,8 @@ pub struct Observation {
     pub point: SurfacePoint,
 }
 
-/// How the photograph changes around an observed pixel; only in the pool of a fit that moves cameras.
+/// How the photograph changes around an observed pixel; only in the pool of a fit that moves
+/// cameras.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct ObservedGradient(pub ImageGradient);
 
@@ -98,7 +101,8 @@ pub fn despawn_observations(world: &mut World) {
     despawn_rows(world, &rows);
 }
 
-/// The samples of the current [`Window`], as a system parameter: columns `D`, one row per sample, in the order of [`SampleIndex`].
+/// The samples of the current [`Window`], as a system parameter: columns `D`, one row per sample,
+/// in the order of [`SampleIndex`].
 #[derive(SystemParam)]
 pub struct Samples<'w, 's, D: Columns + 'static> {
     window: Res<'w, Window>,
@@ -106,7 +110,8 @@ pub struct Samples<'w, 's, D: Columns + 'static> {
 }
 
 impl<'w, 's, D: Columns + 'static> Samples<'w, 's, D> {
-    /// The window's columns. Writing does not mark them as changed, because every run recomputes them.
+    /// The window's columns. Writing does not mark them as changed, because every run recomputes
+    /// them.
     ///
     /// # Errors
     /// If the pool does not have all samples of the window.
@@ -115,8 +120,8 @@ impl<'w, 's, D: Columns + 'static> Samples<'w, 's, D> {
     }
 }
 
-/// Spawns an object: its surface, the albedo of each texel of the surface's atlas, base materials with the numbers 0, 1, … (texels show
-/// the first), and the lobes of its light.
+/// Spawns an object: its surface, the albedo of each texel of the surface's atlas, base materials
+/// with the numbers 0, 1, … (texels show the first), and the lobes of its light.
 pub fn spawn_object(
     world: &mut World,
     surface: &Arc<Surface>,
@@ -148,8 +153,8 @@ impl LightRotations<'_, '_> {
     }
 }
 
-/// The rotation from the world into the light's frame of each view, which has a placement of the object; none if the light stands
-/// still in the world.
+/// The rotation from the world into the light's frame of each view, which has a placement of the
+/// object; none if the light stands still in the world.
 pub fn light_rotations(
     frame: &PlacedFrame,
     views: impl Iterator<Item = (ViewIndex, Camera, Placement)>,

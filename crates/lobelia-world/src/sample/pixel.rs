@@ -27,12 +27,13 @@ pub struct PixelOf {
 pub struct Observed {
     /// The stored value.
     pub radiance: Vec3,
-    /// Whether a channel is at the largest storable value: the stored value is then a lower bound of that channel.
+    /// Whether a channel is at the largest storable value: the stored value is then a lower bound
+    /// of that channel.
     pub saturated: bool,
 }
 
-/// How the mean radiance of the photograph changes there along x and y, per pixel; `None` where a neighbor is not fully covered by the object, or
-/// saturated.
+/// How the mean radiance of the photograph changes there along x and y, per pixel; `None` where a
+/// neighbor is not fully covered by the object, or saturated.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ImageGradient(pub Option<Vec2>);
 
@@ -40,7 +41,8 @@ pub struct ImageGradient(pub Option<Vec2>);
 pub const SATURATION: f32 = 0.999;
 
 impl Observed {
-    /// Residual of a prediction in a channel. A clipped channel is a lower bound: the residual is zero for brighter predictions.
+    /// Residual of a prediction in a channel. A clipped channel is a lower bound: the residual is
+    /// zero for brighter predictions.
     #[inline]
     pub fn difference(&self, channel: usize, predicted: f32) -> f32 {
         let observed = self.radiance[channel];

@@ -48,7 +48,8 @@ impl From<Option<Hit>> for SurfacePoint {
 #[derive(Resource, Clone)]
 pub struct Scenery(pub Arc<dyn Intersect>);
 
-/// Blend weights of the base materials at a sample's point; they sum to at most one; the remainder has no specular light.
+/// Blend weights of the base materials at a sample's point; they sum to at most one; the remainder
+/// has no specular light.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 pub struct PointBlend(pub [f32; MAX_SPECULAR_LOBES]);
 

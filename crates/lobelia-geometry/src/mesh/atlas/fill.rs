@@ -8,11 +8,13 @@ const FINEST_CELLS: u32 = 128;
 
 /// Fills every texel that is not `known` from its nearest known neighbors.
 ///
-/// Covered texels get the values of near texels in *world space*, across chart borders: known values are averaged in a pyramid of grids
-/// over the object, and each unknown texel reads the finest levels with known values around it, with smooth transitions to coarser
-/// levels (push-pull in three dimensions). Then values grow ring by ring from covered texels across the gutters until the texture is
-/// full, so that bilinear lookups and mipmaps never read an unset texel. Known texels keep their bits. Non-finite known values count
-/// as unknown. If nothing is known, nothing changes. Deterministic.
+/// Covered texels get the values of near texels in *world space*, across chart borders: known
+/// values are averaged in a pyramid of grids over the object, and each unknown texel reads the
+/// finest levels with known values around it, with smooth transitions to coarser levels (push-pull
+/// in three dimensions). Then values grow ring by ring from covered texels across the gutters until
+/// the texture is full, so that bilinear lookups and mipmaps never read an unset texel. Known
+/// texels keep their bits. Non-finite known values count as unknown. If nothing is known, nothing
+/// changes. Deterministic.
 ///
 /// # Panics
 /// If the three lengths differ.
@@ -32,7 +34,8 @@ pub fn fill_uncovered(values: &mut [Vec3], known: &[bool], atlas: &TexelAtlas) {
     pad_outwards(values, &mut filled, atlas.width as usize, atlas.height as usize);
 }
 
-/// Mean known values in cubic grids over the object, each half as fine as the one before; the last has one cell.
+/// Mean known values in cubic grids over the object, each half as fine as the one before; the last
+/// has one cell.
 struct Pyramid {
     low: Vec3,
     /// Cells per side and mean values with the cell's weight (0 or 1), finest first.
@@ -47,7 +50,8 @@ impl Pyramid {
         let low = covered().fold(Vec3::INFINITY, Vec3::min);
         let side = (covered().fold(Vec3::NEG_INFINITY, Vec3::max) - low).max_element().max(f32::MIN_POSITIVE);
         let mut pyramid = Self { low, levels: Vec::new(), scale: 1.0 / side };
-        // A grid finer than the spacing of texels only costs memory: use about as many cells per side as texels.
+        // A grid finer than the spacing of texels only costs memory: use about as many cells per
+        // side as texels.
         let mut cells = (2 * atlas.width.max(atlas.height) / 3).next_power_of_two().min(FINEST_CELLS);
         let mut sums = vec![(Vec3::ZERO, 0.0); (cells * cells * cells) as usize];
         for &source in sources {
@@ -93,7 +97,8 @@ impl Pyramid {
     }
 }
 
-/// Weighted sum and sum of weights of the eight cells around `unit` (in `[0, 1]³`), clamped at the borders.
+/// Weighted sum and sum of weights of the eight cells around `unit` (in `[0, 1]³`), clamped at the
+/// borders.
 fn trilinear(cells: u32, means: &[(Vec3, f32)], unit: Vec3) -> (Vec3, f32) {
     let place = (unit * cells as f32 - 0.5).clamp(Vec3::ZERO, Vec3::splat((cells - 1) as f32));
     let low = place.floor();
@@ -199,7 +204,8 @@ mod tests {
                 assert_eq!(values[i], before[i]);
             } else if atlas.covered[i] {
                 filled += 1;
-                // A blend of the two colors, and the right one just below the border and away from the divide.
+                // A blend of the two colors, and the right one just below the border and away from
+                // the divide.
                 let v = values[i];
                 assert!((v.x + v.y - 1.0).abs() < 1e-4 && v.z == 0.0, "{v}");
                 let p = atlas.position[i];

@@ -1,8 +1,9 @@
 //! The texel atlas: the surface point of each texel, and the texels of a surface point.
 //!
-//! Texel (i, j) has its center at uv = ((i + ½)/W, (j + ½)/H); lookups are bilinear and clamp at the borders.
-//! [`unwrap_mesh`] gives a mesh that has none coordinates: `chart` takes the surface apart and lays the parts flat, `pack` puts them side
-//! by side, `fill_uncovered` fills what no view sees.
+//! Texel (i, j) has its center at uv = ((i + ½)/W, (j + ½)/H); lookups are bilinear and clamp at
+//! the borders. [`unwrap_mesh`] gives a mesh that has none coordinates: `chart` takes the surface
+//! apart and lays the parts flat, `pack` puts them side by side, `fill_uncovered` fills what no
+//! view sees.
 
 mod chart;
 mod fill;
@@ -16,8 +17,8 @@ use crate::{mesh::triangles::Mesh, view::raster::bilinear};
 use glam::{DVec2, DVec3, Vec2, Vec3};
 use lobelia_sg::{ray::TexelAddress, statistics::median};
 
-/// Distance from a triangle, in texels, within which texels are covered: a bilinear footprint is the square of half-width 1 around a
-/// texel center, whose corners are √2 away.
+/// Distance from a triangle, in texels, within which texels are covered: a bilinear footprint is
+/// the square of half-width 1 around a texel center, whose corners are √2 away.
 const REACH: f64 = std::f64::consts::SQRT_2;
 
 /// The surface in texture space: one row per texel, `y * width + x`.
@@ -27,18 +28,22 @@ pub struct TexelAtlas {
     pub width: u32,
     /// Height in texels.
     pub height: u32,
-    /// World position of the surface point nearest to the texel's center (in texture space); zero where not covered.
+    /// World position of the surface point nearest to the texel's center (in texture space); zero
+    /// where not covered.
     pub position: Vec<Vec3>,
     /// Unit shading normal there; zero where not covered.
     pub normal: Vec<Vec3>,
-    /// Whether a lookup at some surface point can reach the texel: true for every texel of every bilinear footprint.
+    /// Whether a lookup at some surface point can reach the texel: true for every texel of every
+    /// bilinear footprint.
     pub covered: Vec<bool>,
 }
 
 impl TexelAtlas {
-    /// Rasterizes the triangles of `mesh` in texture space; a mesh without texture coordinates covers nothing.
+    /// Rasterizes the triangles of `mesh` in texture space; a mesh without texture coordinates
+    /// covers nothing.
     ///
-    /// If several triangles reach a texel, the one nearest to its center is used; of equal ones, the first.
+    /// If several triangles reach a texel, the one nearest to its center is used; of equal ones,
+    /// the first.
     pub fn new(mesh: &Mesh, width: u32, height: u32) -> Self {
         let count = width as usize * height as usize;
         let (position, normal) = (vec![Vec3::ZERO; count], vec![Vec3::ZERO; count]);
@@ -62,7 +67,8 @@ impl TexelAtlas {
         atlas
     }
 
-    /// Median distance in the world between covered texels that are neighbors in a row; zero if nothing is covered.
+    /// Median distance in the world between covered texels that are neighbors in a row; zero if
+    /// nothing is covered.
     pub fn texel_size(&self) -> f32 {
         let width = self.width as usize;
         let is_pair = |t: &usize| !t.is_multiple_of(width) && self.covered[*t] && self.covered[t - 1];
@@ -72,7 +78,8 @@ impl TexelAtlas {
     }
 }
 
-/// The four texels that are interpolated at `uv` in a texture of `width` × `height` texels (both at least 1), clamped at the borders.
+/// The four texels that are interpolated at `uv` in a texture of `width` × `height` texels (both at
+/// least 1), clamped at the borders.
 #[inline]
 pub fn address(uv: Vec2, width: u32, height: u32) -> TexelAddress {
     let taps = bilinear(width, height, uv.x * width as f32 - 0.5, uv.y * height as f32 - 0.5);
@@ -100,7 +107,8 @@ fn texels_near(corners: [DVec2; 3], width: u32, height: u32) -> impl Iterator<It
     range(low.y, high.y, height).flat_map(move |y| columns.clone().map(move |x| (x, y)))
 }
 
-/// Distance from `point` to the triangle, and the barycentric weights of the triangle's nearest point.
+/// Distance from `point` to the triangle, and the barycentric weights of the triangle's nearest
+/// point.
 fn nearest_point(corners: [DVec2; 3], point: DVec2) -> (f64, [f64; 3]) {
     let doubled_area = (corners[1] - corners[0]).perp_dot(corners[2] - corners[0]);
     let part =

@@ -10,7 +10,8 @@ use std::collections::HashMap;
 const MAX_OVERLAP: f64 = 0.01;
 /// Largest fraction of the surface area that may have no area in the texture.
 const MAX_COLLAPSED: f64 = 0.01;
-/// Overlap is measured on a grid at least this fine, since small triangles miss the centers of coarse texels.
+/// Overlap is measured on a grid at least this fine, since small triangles miss the centers of
+/// coarse texels.
 const OVERLAP_GRID: u32 = 1024;
 /// Texture coordinates may exceed the unit square by this much (rounding).
 const SLACK: f32 = 1e-4;
@@ -26,14 +27,15 @@ pub struct UnwrappedMesh {
     pub note: Option<String>,
 }
 
-/// Gives `mesh` texture coordinates whose charts do not overlap, packed for a texture of `texture_size`² texels.
+/// Gives `mesh` texture coordinates whose charts do not overlap, packed for a texture of
+/// `texture_size`² texels.
 ///
-/// Coordinates that the mesh has are kept (clamped to `[0, 1]`) if they are in the unit square and hardly overlap; otherwise it is
-/// unwrapped, and a note says why.
+/// Coordinates that the mesh has are kept (clamped to `[0, 1]`) if they are in the unit square and
+/// hardly overlap; otherwise it is unwrapped, and a note says why.
 ///
 /// # Errors
-/// [`Error::Usage`] if the charts do not fit the texture, [`Error::Run`] if the mesh cannot be unwrapped, [`Error::Interrupted`] if the
-/// work is to stop.
+/// [`Error::Usage`] if the charts do not fit the texture, [`Error::Run`] if the mesh cannot be
+/// unwrapped, [`Error::Interrupted`] if the work is to stop.
 pub fn unwrap_mesh(mesh: &Mesh, texture_size: u32) -> Result<UnwrappedMesh> {
     let fault = mesh.uvs.as_ref().map(|uvs| fault(mesh, uvs, texture_size));
     if let Some(None) = fault {
@@ -52,7 +54,8 @@ pub fn unwrap_mesh(mesh: &Mesh, texture_size: u32) -> Result<UnwrappedMesh> {
     Ok(UnwrappedMesh { mesh: with_places(mesh, &charts, texture_size), charts: Some(count), note })
 }
 
-/// The reason why these texture coordinates do not have one texel per surface point, if there is one.
+/// The reason why these texture coordinates do not have one texel per surface point, if there is
+/// one.
 fn fault(mesh: &Mesh, uvs: &[Vec2], texture_size: u32) -> Option<String> {
     let used = || mesh.triangles.iter().flatten().map(|&vertex| uvs[vertex as usize]);
     let inside = |uv: Vec2| uv.min_element() >= -SLACK && uv.max_element() <= 1.0 + SLACK;
@@ -104,7 +107,8 @@ fn overlapping_part(mesh: &Mesh, grid: u32) -> f64 {
     shared as f64 / covered.max(1) as f64
 }
 
-/// The mesh with texture coordinates from places in texels. A triangle in no chart, which has no area, collapses to a point of the texture.
+/// The mesh with texture coordinates from places in texels. A triangle in no chart, which has no
+/// area, collapses to a point of the texture.
 fn with_places(mesh: &Mesh, charts: &[Chart], texture_size: u32) -> Mesh {
     let mut places = vec![None; mesh.triangles.len()];
     for (number, chart) in charts.iter().enumerate() {

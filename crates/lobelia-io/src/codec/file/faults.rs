@@ -1,4 +1,5 @@
-//! Faults that tests of any crate give to the files below a folder. A program has none, and pays for one relaxed load a call.
+//! Faults that tests of any crate give to the files below a folder. A program has none, and pays
+//! for one relaxed load a call.
 
 use std::io::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -82,7 +83,8 @@ pub(super) fn meet(path: &Path, call: Call, length: usize) -> Result<usize> {
 
 #[cfg(test)]
 mod tests {
-    //! Every codec on a disk that gives few bytes at a time, is interrupted, or fails: the same bytes and values, or one error and nothing left.
+    //! Every codec on a disk that gives few bytes at a time, is interrupted, or fails: the same
+    //! bytes and values, or one error and nothing left.
 
     use super::{Call, Faulty, FileFault};
     use crate::codec::file::{read_parts, read_text, write_bytes};

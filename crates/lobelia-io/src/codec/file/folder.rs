@@ -1,5 +1,6 @@
-//! What is asked before anything is written into a folder: whether a file that is to be written is one that is read, told by what
-//! paths lead to and not by how they are spelled; whether files can be made there; and whether another process writes there.
+//! What is asked before anything is written into a folder: whether a file that is to be written is
+//! one that is read, told by what paths lead to and not by how they are spelled; whether files can
+//! be made there; and whether another process writes there.
 
 use crate::codec::file::write::{create_folders, folder_of};
 use lobelia_geometry::{Error, Result};
@@ -11,7 +12,8 @@ use std::{collections::HashMap, path::Path, path::PathBuf};
 pub struct FileUse {
     /// The file, which need not exist.
     pub path: PathBuf,
-    /// Its role for the reader ("the scene file"), or its writer ("pass novel", "--out"), for a message.
+    /// Its role for the reader ("the scene file"), or its writer ("pass novel", "--out"), for a
+    /// message.
     pub by: String,
 }
 
@@ -32,7 +34,8 @@ pub fn check_apart(inputs: &[FileUse], outputs: &[FileUse], help: &str) -> Resul
     })
 }
 
-/// Checks that no file is to be written into a folder of which pictures are read: it would be one of them the next time.
+/// Checks that no file is to be written into a folder of which pictures are read: it would be one
+/// of them the next time.
 ///
 /// # Errors
 /// [`Error::Usage`] that names the first such file, and one of the pictures.
@@ -49,7 +52,8 @@ pub fn check_not_among(pictures: &[FileUse], outputs: &[FileUse], help: &str) ->
     )
 }
 
-/// Refuses the first output of which `of` gives a path that leads to what it gives of an input, if that exists.
+/// Refuses the first output of which `of` gives a path that leads to what it gives of an input, if
+/// that exists.
 fn clash(
     inputs: &[FileUse],
     outputs: &[FileUse],
@@ -68,8 +72,8 @@ pub fn lies_in(path: &Path, folder: &Path) -> bool {
     path.canonicalize().is_ok_and(|path| folder.canonicalize().is_ok_and(|folder| path.starts_with(folder)))
 }
 
-/// Checks that files can be made in `folder`, which need not exist yet: a file without a name is made in the nearest folder
-/// that exists, and is gone at once.
+/// Checks that files can be made in `folder`, which need not exist yet: a file without a name is
+/// made in the nearest folder that exists, and is gone at once.
 ///
 /// # Errors
 /// [`Error::Usage`] if a part of the path is a file, or the folder may not be written into.
@@ -89,7 +93,8 @@ pub fn check_writable(folder: &Path) -> Result<()> {
 /// The file whose lock stands for the folder.
 pub const LOCK: &str = ".lobelia.lock";
 
-/// The right to write into a folder. The system takes the lock back when the process ends, however it ends: a file that is left is none.
+/// The right to write into a folder. The system takes the lock back when the process ends, however
+/// it ends: a file that is left is none.
 #[derive(Debug)]
 pub struct FolderLock {
     file: File,
@@ -115,7 +120,8 @@ impl FolderLock {
                 Err(TryLockError::WouldBlock) => return Err(busy(folder)),
                 // A file system without locks is no reason not to work.
                 Err(TryLockError::Error(_)) => {}
-                // Whoever had the lock may have removed the file in between: then it stands for nothing.
+                // Whoever had the lock may have removed the file in between: then it stands for
+                // nothing.
                 Ok(()) if is_gone(&file) => continue,
                 Ok(()) => {}
             }
@@ -137,14 +143,16 @@ impl FolderLock {
 
 impl Drop for FolderLock {
     fn drop(&mut self) {
-        // What cannot be removed does no harm. Folders that were made go only if nothing was put into them.
+        // What cannot be removed does no harm. Folders that were made go only if nothing was put
+        // into them.
         let _ = fs::remove_file(&self.path);
         let _ = self.file.unlock();
         let _ = self.made.iter().try_for_each(fs::remove_dir);
     }
 }
 
-/// Checks that a lock which is there is a plain file: a link would lead elsewhere, and a pipe would never open.
+/// Checks that a lock which is there is a plain file: a link would lead elsewhere, and a pipe would
+/// never open.
 fn check_ours(path: &Path) -> Result<()> {
     if path.symlink_metadata().is_ok_and(|found| !found.is_file()) {
         let problem = format!("{} is in the way: it is not a plain file", path.display());

@@ -1,6 +1,7 @@
-//! Reading and writing of whole files: reading has errors that name the problem, and writing never leaves an incomplete file under
-//! its final name. What is not a regular file (a pipe, a device) is refused before it is opened, because it might never end, and
-//! so is what is larger than its kind can be.
+//! Reading and writing of whole files: reading has errors that name the problem, and writing never
+//! leaves an incomplete file under its final name. What is not a regular file (a pipe, a device) is
+//! refused before it is opened, because it might never end, and so is what is larger than its kind
+//! can be.
 
 #[doc(hidden)]
 pub mod faults;
@@ -18,12 +19,14 @@ use std::fs::{self, File, FileType, ReadDir};
 use std::io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// Most bytes of a text file that people write: a scene, a light. The largest scene that a pass saves is a few MiB.
+/// Most bytes of a text file that people write: a scene, a light. The largest scene that a pass
+/// saves is a few MiB.
 pub const MOST_TEXT: u64 = 16 << 20;
 /// Most bytes of any file that is read whole.
 const MOST_BYTES: u64 = 4 << 30;
 
-/// A file on the disk: the one through which everything is read and written. Tests give it the faults of disks and pipes.
+/// A file on the disk: the one through which everything is read and written. Tests give it the
+/// faults of disks and pipes.
 #[derive(Debug)]
 pub struct DiskFile {
     pub(in crate::codec) file: File,
@@ -105,7 +108,8 @@ impl Obstacle {
     }
 }
 
-/// The reason why `path` cannot be read as a `kind`, if there is one. A pipe or a device is not opened.
+/// The reason why `path` cannot be read as a `kind`, if there is one. A pipe or a device is not
+/// opened.
 pub fn obstacle(path: &Path, kind: FileKind) -> Option<Obstacle> {
     if kind == FileKind::File { open_regular(path).err() } else { open_folder(path).err() }
 }
@@ -178,7 +182,8 @@ fn special(_: FileType) -> &'static str {
 /// Opens a file for reading; `help` returns the remedy for a missing file.
 ///
 /// # Errors
-/// [`Error::Input`] if the file is missing, empty, a folder, a pipe or a device, or may not be read.
+/// [`Error::Input`] if the file is missing, empty, a folder, a pipe or a device, or may not be
+/// read.
 pub fn open(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<BufReader<DiskFile>> {
     let file = open_regular(path).map_err(|Obstacle { problem, help: own }| {
         Error::input(path, "", problem, if own.is_empty() { help(path) } else { own })
@@ -189,8 +194,8 @@ pub fn open(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<BufReader
     Ok(BufReader::new(file))
 }
 
-/// The first `count` bytes of a file that is at its beginning, or all if it has fewer; it is at its beginning again then. A single read may
-/// give fewer, as from a network.
+/// The first `count` bytes of a file that is at its beginning, or all if it has fewer; it is at its
+/// beginning again then. A single read may give fewer, as from a network.
 ///
 /// # Errors
 /// [`Error::Io`] if it cannot be read.
@@ -219,7 +224,8 @@ pub fn read_parts(path: &Path, mut take: impl FnMut(&[u8])) -> Result<()> {
 /// Reads a whole file of at most 4 GiB; `help` returns the remedy for a missing file.
 ///
 /// # Errors
-/// [`Error::Input`] if it is missing, larger or not a regular file, [`Error::Io`] if it cannot be read.
+/// [`Error::Input`] if it is missing, larger or not a regular file, [`Error::Io`] if it cannot be
+/// read.
 pub fn read_bytes(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
     read_up_to(path, MOST_BYTES, help)
 }
@@ -227,13 +233,15 @@ pub fn read_bytes(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Vec
 /// Reads a whole file of at most `most` bytes; `help` returns the remedy for a missing file.
 ///
 /// # Errors
-/// [`Error::Input`] for what [`open`] refuses, and for a larger file, before it is read; [`Error::Io`] if reading fails.
+/// [`Error::Input`] for what [`open`] refuses, and for a larger file, before it is read;
+/// [`Error::Io`] if reading fails.
 pub fn read_up_to(path: &Path, most: u64, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
     let file = open(path, help)?;
     let mut length = file.get_ref().file.metadata().map_err(Error::io("read", path))?.len();
     let mut bytes = Vec::new();
     if length <= most {
-        // The file may grow while it is read. What there is no memory for is refused by the reading itself.
+        // The file may grow while it is read. What there is no memory for is refused by the reading
+        // itself.
         let _ = bytes.try_reserve_exact(length as usize + 1);
         file.take(most + 1).read_to_end(&mut bytes).map_err(Error::io("read", path))?;
         length = bytes.len() as u64;
@@ -246,8 +254,8 @@ pub fn read_up_to(path: &Path, most: u64, help: impl FnOnce(&Path) -> String) ->
     Ok(bytes)
 }
 
-/// Reads a UTF-8 text of at most `most` bytes, without the byte order mark that some editors put in front; `help` returns the
-/// remedy for a missing file.
+/// Reads a UTF-8 text of at most `most` bytes, without the byte order mark that some editors put in
+/// front; `help` returns the remedy for a missing file.
 ///
 /// # Errors
 /// As for [`read_up_to`], and [`Error::Input`] with the place of the first byte that is not UTF-8.

@@ -1,5 +1,6 @@
-//! Writing whole files: a temporary file in the same folder, which is renamed when it is complete and on the disk. The names of
-//! unfinished files and folders say that they are this program's and count for nothing.
+//! Writing whole files: a temporary file in the same folder, which is renamed when it is complete
+//! and on the disk. The names of unfinished files and folders say that they are this program's and
+//! count for nothing.
 
 use crate::codec::file::DiskFile;
 use lobelia_geometry::{Error, Result};
@@ -8,9 +9,10 @@ use std::io::{BufWriter, Write as _};
 use std::{collections::HashSet, ffi::OsStr, fmt::Display, fs, fs::File, path::Path, path::PathBuf};
 use tempfile::TempDir;
 
-/// Writes `path` through `write`: the bytes go to a hidden temporary file in the same folder (created if missing), which
-/// gets the final name only when `write` has succeeded and the bytes are on the disk. An existing file of that name is replaced;
-/// on failure it stays as it was and the temporary file is removed.
+/// Writes `path` through `write`: the bytes go to a hidden temporary file in the same folder
+/// (created if missing), which gets the final name only when `write` has succeeded and the bytes
+/// are on the disk. An existing file of that name is replaced; on failure it stays as it was and
+/// the temporary file is removed.
 ///
 /// # Errors
 /// The errors of `write`, or [`Error::Io`] for other errors of the operating system.
@@ -19,7 +21,8 @@ pub fn write_file(path: &Path, write: impl FnOnce(&mut BufWriter<DiskFile>) -> R
     create_folders(folder)?;
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(".part");
-    // A temporary file is private to its owner by default; a result has the usual permissions (0666 less umask).
+    // A temporary file is private to its owner by default; a result has the usual permissions (0666
+    // less umask).
     #[cfg(unix)]
     let builder = builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let made = builder.tempfile_in(folder).map_err(Error::io("create a file in", folder))?;
@@ -41,7 +44,8 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
     write_file(path, |writer| writer.write_all(bytes).map_err(Error::io("write", path)))
 }
 
-/// Checks that all `values` are finite before they are written to `path`; `what` names the value with a number, counted from 0.
+/// Checks that all `values` are finite before they are written to `path`; `what` names the value
+/// with a number, counted from 0.
 ///
 /// # Errors
 /// [`Error::Run`] that names the first value that is NaN or infinite.
@@ -59,7 +63,8 @@ pub(crate) fn not_written(path: &Path, problem: impl Display) -> Error {
     Error::run(format!("writing {}", path.display()), problem.to_string())
 }
 
-/// Creates `folder` and those around it that are missing, with their names on the disk; returns them, from the innermost.
+/// Creates `folder` and those around it that are missing, with their names on the disk; returns
+/// them, from the innermost.
 ///
 /// # Errors
 /// [`Error::Io`].
@@ -96,7 +101,8 @@ fn sync_folder(_: &Path) -> Result<()> {
 /// How the names of unfinished files and folders begin.
 const PREFIX: &str = ".lobelia-";
 
-/// A folder in `folder` (created if missing) for what is needed for a while; it goes when this is dropped.
+/// A folder in `folder` (created if missing) for what is needed for a while; it goes when this is
+/// dropped.
 ///
 /// # Errors
 /// [`Error::Io`] if it cannot be created.
@@ -116,7 +122,8 @@ fn is_scratch(file: &Path) -> bool {
     file.ancestors().skip(1).any(|folder| folder.file_name().is_some_and(is_unfinished))
 }
 
-/// Removes what a killed process left unfinished in `folder` itself. Nobody else may be writing there.
+/// Removes what a killed process left unfinished in `folder` itself. Nobody else may be writing
+/// there.
 ///
 /// # Errors
 /// [`Error::Io`] if something cannot be removed.
@@ -137,7 +144,8 @@ pub fn clear_scratch(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Most bytes of a view's name: its files get a prefix and an extension, and file systems stop at 255 bytes.
+/// Most bytes of a view's name: its files get a prefix and an extension, and file systems stop at
+/// 255 bytes.
 const MOST_NAME_BYTES: usize = 200;
 
 /// Checks that `name` can be the stem of a file.
@@ -158,9 +166,10 @@ pub fn check_file_name(name: &str) -> Result<(), String> {
     bad.map_or(Ok(()), |c| Err(format!("holds {c:?}, which a file name must not")))
 }
 
-/// The stems of the files of things with these names, in the order of the names, apart from each other and from those that are `taken`
-/// even where case does not count. A name that can be a stem is one; what a file's name must not hold becomes `_`, and what is no longer
-/// alone gets a number. No stem leads out of the folder that it is put into.
+/// The stems of the files of things with these names, in the order of the names, apart from each
+/// other and from those that are `taken` even where case does not count. A name that can be a stem
+/// is one; what a file's name must not hold becomes `_`, and what is no longer alone gets a number.
+/// No stem leads out of the folder that it is put into.
 pub fn file_stems(names: &[&str], taken: &[&str]) -> Vec<String> {
     let mut used: HashSet<String> = taken.iter().map(|stem| stem.to_lowercase()).collect();
     let mut stems = vec![String::new(); names.len()];

@@ -12,12 +12,14 @@ const UNSIGNED_INT: u32 = 5125;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
-/// Writes `mesh` to `path` as a GLB with one node, one mesh and one primitive; floats keep all their bits.
+/// Writes `mesh` to `path` as a GLB with one node, one mesh and one primitive; floats keep all
+/// their bits.
 ///
 /// The file is created only when it is complete.
 ///
 /// # Errors
-/// [`Error::Run`](lobelia_geometry::Error::Run) if the mesh is empty or not finite, or the file would exceed 4 GiB; [`Error::Io`](lobelia_geometry::Error::Io) if the file cannot be written.
+/// [`Error::Run`](lobelia_geometry::Error::Run) if the mesh is empty or not finite, or the file
+/// would exceed 4 GiB; [`Error::Io`](lobelia_geometry::Error::Io) if the file cannot be written.
 pub fn write_glb(path: &Path, mesh: &Mesh, material: Option<&GltfMaterial>) -> Result<()> {
     check_mesh(path, mesh, material.into_iter().flat_map(GltfMaterial::values))?;
     let mut binary = Binary::default();
@@ -42,7 +44,8 @@ pub fn write_glb(path: &Path, mesh: &Mesh, material: Option<&GltfMaterial>) -> R
     write_bytes(path, &container)
 }
 
-/// Checks that a mesh that is to be written has triangles, and that it and the values of its material are finite.
+/// Checks that a mesh that is to be written has triangles, and that it and the values of its
+/// material are finite.
 ///
 /// # Errors
 /// [`Error::Run`](lobelia_geometry::Error::Run).
@@ -78,7 +81,8 @@ impl Binary {
         self.views.len() - 1
     }
 
-    /// Appends an accessor of float vectors (with its range, if `with_range`) and returns its index.
+    /// Appends an accessor of float vectors (with its range, if `with_range`) and returns its
+    /// index.
     fn add_floats<const N: usize>(
         &mut self,
         values: impl Iterator<Item = [f32; N]>,

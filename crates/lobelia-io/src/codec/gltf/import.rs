@@ -7,7 +7,8 @@ use gltf_json::{Index, scene::Node, validation::Checked};
 use lobelia_geometry::{Error, Result, mesh::MAX_COORDINATE, mesh::triangles::Mesh};
 use std::{collections::HashSet, path::Path};
 
-/// Most triangles of all instances together. An atlas has at most 4096² texels: more triangles would show nothing.
+/// Most triangles of all instances together. An atlas has at most 4096² texels: more triangles
+/// would show nothing.
 const MAX_TRIANGLES: u64 = 10_000_000;
 
 /// Omissions and repairs of [`read_mesh_with_report`].
@@ -21,7 +22,8 @@ pub struct MeshReport {
     pub degenerate_triangles: usize,
     /// Vertices whose normal was missing, zero or not finite and was computed from the faces.
     pub computed_normals: usize,
-    /// True if texture coordinates were dropped, because some primitives have none or some are not finite.
+    /// True if texture coordinates were dropped, because some primitives have none or some are not
+    /// finite.
     pub dropped_uvs: bool,
 }
 
@@ -44,12 +46,14 @@ impl MeshReport {
 
 /// Reads all triangles of all scenes of a `.glb` or `.gltf` file, in world space.
 ///
-/// Triangles, strips and fans of every node of every scene (of every node, if the file has no scene) are taken, with the nodes'
-/// transforms; skins and morph targets stay in their rest pose. Missing normals are computed as smooth normals. If only some primitives have
-/// texture coordinates, they are dropped for all.
+/// Triangles, strips and fans of every node of every scene (of every node, if the file has no
+/// scene) are taken, with the nodes' transforms; skins and morph targets stay in their rest pose.
+/// Missing normals are computed as smooth normals. If only some primitives have texture
+/// coordinates, they are dropped for all.
 ///
 /// # Errors
-/// [`Error::Input`] or [`Error::Io`] for anything that is not a readable glTF 2.0 file with at least one triangle.
+/// [`Error::Input`] or [`Error::Io`] for anything that is not a readable glTF 2.0 file with at
+/// least one triangle.
 pub fn read_mesh(path: &Path) -> Result<Mesh> {
     read_mesh_with_report(path).map(|(mesh, _)| mesh)
 }
@@ -175,7 +179,8 @@ impl Gathered {
         Ok(())
     }
 
-    /// Refuses more triangles or vertices than can be used, before they are read: a mesh counts once for each node that shows it.
+    /// Refuses more triangles or vertices than can be used, before they are read: a mesh counts
+    /// once for each node that shows it.
     fn check_size(&self, file: &GltfFile, triangles: u64, vertices: u64) -> Result<()> {
         let triangles = triangles.saturating_add(self.mesh.triangles.len() as u64);
         let vertices = vertices.saturating_add(self.mesh.positions.len() as u64);
@@ -248,8 +253,8 @@ impl Gathered {
     }
 }
 
-/// A positive multiple of the inverse transpose: the cofactor matrix with the determinant's sign, which also exists for singular
-/// transforms.
+/// A positive multiple of the inverse transpose: the cofactor matrix with the determinant's sign,
+/// which also exists for singular transforms.
 fn inverse_transpose_direction(matrix: Mat3) -> DMat3 {
     let [x, y, z] = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(|axis| axis.as_dvec3());
     let sign = if x.dot(y.cross(z)) < 0.0 { -1.0 } else { 1.0 };
@@ -262,7 +267,8 @@ mod tests {
     use crate::codec::test_data::temporary;
     use serde_json::{Value, json};
 
-    /// A `.gltf` document under construction; its one buffer becomes a data URI unless told otherwise.
+    /// A `.gltf` document under construction; its one buffer becomes a data URI unless told
+    /// otherwise.
     struct Document {
         root: Value,
         bytes: Vec<u8>,
@@ -536,7 +542,8 @@ mod tests {
             ("/meshes/0/primitives", json!([]), "has no triangles"),
             ("/nodes/0/mesh", json!(9), "refers to mesh 9"),
             ("/nodes/0/rotation", json!([0, 0, 0, 0]), "quaternion"),
-            // A transform that flattens everything, and one that leads beyond what anything is placed at.
+            // A transform that flattens everything, and one that leads beyond what anything is
+            // placed at.
             ("/nodes/0/scale", json!([1.0, 0.0, 1.0]), "only 1 degenerate"),
             ("/nodes/0/scale", json!([1e25, 1e25, 1e25]), "no coordinate may be beyond 1e9"),
             ("/scenes/0/nodes", json!([9]), "refers to node 9"),

@@ -1,13 +1,15 @@
 //! Conversion between glTF materials and the BRDF of this crate.
 //!
-//! A dielectric in glTF is a GGX lobe with Schlick's F from F0 to F90, and what it leaves of a diffuse base color; here the diffuse part
-//! is not dimmed, and the lobe has another F and G. With E(c) the reflectance of a lobe seen at the cosine c = n·v
+//! A dielectric in glTF is a GGX lobe with Schlick's F from F0 to F90, and what it leaves of a
+//! diffuse base color; here the diffuse part is not dimmed, and the lobe has another F and G. With
+//! E(c) the reflectance of a lobe seen at the cosine c = n·v
 //! ([`reflectance`](lobelia_sg::reflectance)), of the lobe here E_s, of glTF's F0·A + F90·B:
 //!
-//! - F0 (per channel) and F90 (one for all) minimize ∫ (F0·A + F90·B − E_s)² 2c dc over the channels, with 0 ≤ F0 ≤ F90 ≤ 1, as
-//!   `KHR_materials_specular` has it. Both are linear in E_s, and so a blend of base materials is fitted as a whole.
-//! - What glTF leaves to the diffuse part is the mean of 1 − max E over the hemisphere, and the base color is the albedo divided
-//!   by that share.
+//! - F0 (per channel) and F90 (one for all) minimize ∫ (F0·A + F90·B − E_s)² 2c dc over the
+//!   channels, with 0 ≤ F0 ≤ F90 ≤ 1, as `KHR_materials_specular` has it. Both are linear in E_s,
+//!   and so a blend of base materials is fitted as a whole.
+//! - What glTF leaves to the diffuse part is the mean of 1 − max E over the hemisphere, and the
+//!   base color is the albedo divided by that share.
 //!
 //! With r the largest channel of F0/F90:
 //!
@@ -19,7 +21,8 @@
 //! | `KHR_materials_ior` | (1 + √r) / (1 − √r), r at most 0.99 | |
 //! | `KHR_materials_specular` | factor F90, color F0 / (F90 r) | |
 //!
-//! Reading inverts this: a material that was written is read back, except for the clamping and the eight bits of the texture.
+//! Reading inverts this: a material that was written is read back, except for the clamping and the
+//! eight bits of the texture.
 
 use crate::codec::gltf::GltfFile;
 use glam::Vec3;
@@ -30,28 +33,35 @@ use lobelia_sg::reflectance::{ANGLES, cosine, gltf_reflectance, specular_reflect
 use lobelia_world::material::SpecularLobe;
 use std::{collections::BTreeSet, path::Path};
 
-/// A material for [`crate::codec::gltf::export::write_glb`]: base color, roughness, and the colored reflectance of a dielectric; metallic is 0.
+/// A material for [`crate::codec::gltf::export::write_glb`]: base color, roughness, and the colored
+/// reflectance of a dielectric; metallic is 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GltfMaterial {
     /// The material's name in the file.
     pub name: String,
     /// `baseColorFactor`, linear RGB in `[0, 1]`, times the texture.
     pub base_color: Vec3,
-    /// An image file's bytes (sRGB; a PNG to be written), embedded as the base color texture; needs a mesh with texture coordinates.
+    /// An image file's bytes (sRGB; a PNG to be written), embedded as the base color texture; needs
+    /// a mesh with texture coordinates.
     pub base_color_image: Option<Vec<u8>>,
     /// `roughnessFactor` in `[0, 1]`, times the texture; GGX's α is its square.
     pub roughness: f32,
-    /// A PNG with roughness in green and metallic 0 in blue, embedded as `metallicRoughnessTexture`. Not read back.
+    /// A PNG with roughness in green and metallic 0 in blue, embedded as
+    /// `metallicRoughnessTexture`. Not read back.
     pub roughness_image: Option<Vec<u8>>,
     /// `specularFactor` of `KHR_materials_specular`, in `[0, 1]`.
     pub specular: f32,
     /// `specularColorFactor` of `KHR_materials_specular`, linear RGB ≥ 0.
     pub specular_color: Vec3,
-    /// A PNG with factors on `specular_color` in its colors (sRGB) and on `specular` in its alpha. Not read back.
+    /// A PNG with factors on `specular_color` in its colors (sRGB) and on `specular` in its alpha.
+    /// Not read back.
     pub specular_image: Option<Vec<u8>>,
-    /// A PNG of normals relative to the mesh's tangents ([`tangents`](lobelia_geometry::mesh::tangents)), embedded as `normalTexture`. Not read back.
+    /// A PNG of normals relative to the mesh's tangents
+    /// ([`tangents`](lobelia_geometry::mesh::tangents)), embedded as `normalTexture`. Not read
+    /// back.
     pub normal_image: Option<Vec<u8>>,
-    /// Index of refraction of `KHR_materials_ior`, ≥ 1 (1.5 is glTF's default, a reflectance of 0.04).
+    /// Index of refraction of `KHR_materials_ior`, ≥ 1 (1.5 is glTF's default, a reflectance of
+    /// 0.04).
     pub ior: f32,
 }
 
@@ -119,7 +129,8 @@ impl GltfMaterial {
 /// Reads the one material that all primitives of a `.glb` or `.gltf` file have.
 ///
 /// # Errors
-/// [`Error::Input`] or [`Error::Io`] if the file cannot be read, has no material or several, or one that the BRDF cannot represent.
+/// [`Error::Input`] or [`Error::Io`] if the file cannot be read, has no material or several, or one
+/// that the BRDF cannot represent.
 pub fn read_material(path: &Path) -> Result<GltfMaterial> {
     let file = GltfFile::open(path)?;
     let primitives = file.root.meshes.iter().flat_map(|mesh| &mesh.primitives);
@@ -234,7 +245,8 @@ impl GltfReflectance {
         Self { a: mix(&self.a, &other.a), b: mix(&self.b, &other.b) }
     }
 
-    /// The dielectric whose reflectance is nearest to `target`; `f90` is F90 where a format gives no choice.
+    /// The dielectric whose reflectance is nearest to `target`; `f90` is F90 where a format gives
+    /// no choice.
     pub fn fit(&self, target: &[Vec3; ANGLES], f90: Option<f32>) -> Dielectric {
         let (aa, ab, bb) = (dot(&self.a, &self.a), dot(&self.a, &self.b), dot(&self.b, &self.b));
         let (on_a, on_b) = (project(&self.a, target), project(&self.b, target));
@@ -250,7 +262,8 @@ impl GltfReflectance {
         Dielectric { f0, f90, diffuse_share: self.diffuse_share(f0, f90) }
     }
 
-    /// The specular albedo with which a lobe reflects as much as glTF's with this F0 and F90: inverse of [`Self::fit`].
+    /// The specular albedo with which a lobe reflects as much as glTF's with this F0 and F90:
+    /// inverse of [`Self::fit`].
     pub fn specular_albedo(&self, f0: Vec3, f90: f32, lobe: &LobeReflectance) -> Vec3 {
         let (aa, ab, bb) = (dot(&self.a, &self.a), dot(&self.a, &self.b), dot(&self.b, &self.b));
         let (constant_a, slope_a) = (dot(&self.a, &lobe.constant), dot(&self.a, &lobe.slope));
@@ -403,11 +416,13 @@ mod tests {
             let mean = |pick: fn((f32, f32)) -> f32| -> f32 {
                 (0..ANGLES).map(|i| pick(totals[i]) * weight(i) as f32).sum()
             };
-            // All that is reflected over the hemisphere, as the slopes of an object add up in a picture.
+            // All that is reflected over the hemisphere, as the slopes of an object add up in a
+            // picture.
             let ratio = mean(|t| t.1) / mean(|t| t.0);
             assert!((ratio - 1.0).abs() < 0.01, "{lobe:?}: {ratio}");
-            // At single angles one base color cannot follow glTF's diffuse part, which falls as E rises.
-            // With GGX's shadowing more is reflected along the surface, and there is more to follow.
+            // At single angles one base color cannot follow glTF's diffuse part, which falls as E
+            // rises. With GGX's shadowing more is reflected along the surface, and there is more to
+            // follow.
             let most = match (lobe.ndf, lobe.albedo.x > 0.1) {
                 (_, true) => 0.09,
                 (Ndf::Sg, false) => 0.045,

@@ -120,7 +120,8 @@ impl GltfFile {
         Ok(self.item(&self.root.accessors, index, "accessor", place)?.count.0)
     }
 
-    /// The elements of accessor `index` as floats, `N` components each; integers are scaled if "normalized".
+    /// The elements of accessor `index` as floats, `N` components each; integers are scaled if
+    /// "normalized".
     fn floats<const N: usize>(&self, index: Index<json::Accessor>, place: &str) -> Result<Vec<[f32; N]>> {
         let (component, elements) = self.elements(index, N, place)?;
         let is_normalized = self.root.accessors[index.value()].normalized;
@@ -138,7 +139,8 @@ impl GltfFile {
         Ok(elements.map(|bytes| unsigned_at(bytes, component)).collect())
     }
 
-    /// The type of the components of accessor `index`, and the bytes of its elements of `wanted` components each, all within its buffer view.
+    /// The type of the components of accessor `index`, and the bytes of its elements of `wanted`
+    /// components each, all within its buffer view.
     fn elements(
         &self,
         index: Index<json::Accessor>,
@@ -182,8 +184,8 @@ impl GltfFile {
     }
 }
 
-/// The files that a `.glb` or `.gltf` file names: buffers, and images that are not in a buffer. A file that cannot be read names none; what
-/// is wrong with it is said when it is read.
+/// The files that a `.glb` or `.gltf` file names: buffers, and images that are not in a buffer. A
+/// file that cannot be read names none; what is wrong with it is said when it is read.
 pub fn side_files(path: &Path) -> Vec<PathBuf> {
     let Ok((root, _)) = document(path) else { return Vec::new() };
     let buffers = root.buffers.iter().map(|buffer| buffer.uri.as_ref());
@@ -197,7 +199,8 @@ fn file_of(path: &Path, uri: &str) -> Option<PathBuf> {
     Some(path.parent().unwrap_or(Path::new("")).join(percent_decoded(uri)?))
 }
 
-/// The document of a `.glb` or `.gltf` file, and the binary chunk of the first (glTF 2.0 specification, section 4).
+/// The document of a `.glb` or `.gltf` file, and the binary chunk of the first (glTF 2.0
+/// specification, section 4).
 fn document(path: &Path) -> Result<(Root, Option<Vec<u8>>)> {
     let bytes = read_bytes(path, missing_file_help)?;
     let wrong = |problem: String| {

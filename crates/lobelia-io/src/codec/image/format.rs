@@ -1,4 +1,5 @@
-//! Formats of image files by their first bytes and names, what to do with those that are not read, what a header says, and samples.
+//! Formats of image files by their first bytes and names, what to do with those that are not read,
+//! what a header says, and samples.
 
 use crate::codec::exr::MAX_DECODED_BYTES;
 use lobelia_geometry::error::{Error, Result};
@@ -24,13 +25,15 @@ pub enum Format {
 /// Extensions of image files that can be read, in the order in which they are tried.
 pub const IMAGE_EXTENSIONS: [&str; 8] = ["exr", "png", "jpg", "jpeg", "tif", "tiff", "webp", "hdr"];
 
-/// Extensions of cameras' RAW files. Most of these are TIFF inside, whose first picture is a preview.
+/// Extensions of cameras' RAW files. Most of these are TIFF inside, whose first picture is a
+/// preview.
 const RAW_EXTENSIONS: [&str; 22] = [
     "3fr", "arw", "cr2", "cr3", "crw", "dcr", "dng", "erf", "iiq", "kdc", "mrw", "nef", "nrw", "orf", "pef",
     "raf", "rw2", "rwl", "sr2", "srf", "srw", "x3f",
 ];
 
-/// Extensions of other image files that are not read: what they are and what to do is told by their first bytes.
+/// Extensions of other image files that are not read: what they are and what to do is told by their
+/// first bytes.
 const FOREIGN_EXTENSIONS: [&str; 16] = [
     "heic", "heif", "hif", "avif", "jxl", "jp2", "j2k", "gif", "bmp", "psd", "pgm", "ppm", "pnm", "pfm",
     "qoi", "tga",
@@ -91,7 +94,8 @@ const FOREIGN: [(usize, &[u8], &str, &str); 13] = [
     (0, b"version https://git-lfs", "a Git LFS pointer", "Fetch the files themselves with `git lfs pull`."),
 ];
 
-/// Whether a file with these first bytes is a video, of MP4, `QuickTime`, Matroska, `WebM`, AVI or MPEG.
+/// Whether a file with these first bytes is a video, of MP4, `QuickTime`, Matroska, `WebM`, AVI or
+/// MPEG.
 pub fn is_video_start(start: &[u8]) -> bool {
     let first = FOREIGN.iter().find(|(at, magic, ..)| starts(start, *at, magic));
     !is_raw(start) && first.is_some_and(|(_, _, name, _)| *name == VIDEO)
@@ -124,7 +128,8 @@ impl Format {
     }
 }
 
-/// The format of a file with these first bytes, whatever its name; a RAW file's name counts, since many are TIFF inside.
+/// The format of a file with these first bytes, whatever its name; a RAW file's name counts, since
+/// many are TIFF inside.
 ///
 /// # Errors
 /// [`Error::Input`] with what to do if the file is in another format, or a camera's RAW file.
@@ -181,7 +186,8 @@ pub struct ImageHeader {
     pub height: u32,
     /// Samples per pixel when decoded: 1 (gray), 2 (gray and alpha), 3 (RGB) or 4 (RGB and alpha).
     pub channels: usize,
-    /// Bits per sample: 8, or 16, or 32 (of 32-bit floats; 16 with `is_float` are half floats). Fewer than 8 are decoded to 8.
+    /// Bits per sample: 8, or 16, or 32 (of 32-bit floats; 16 with `is_float` are half floats).
+    /// Fewer than 8 are decoded to 8.
     pub bits: u32,
     /// True for linear floats, false for integers.
     pub is_float: bool,
@@ -230,7 +236,8 @@ impl ImageSamples {
     }
 }
 
-/// Checks that an image of this size is read, that its pixels fit into memory, and that a file of so many bytes can hold them.
+/// Checks that an image of this size is read, that its pixels fit into memory, and that a file of
+/// so many bytes can hold them.
 pub(super) fn check_size(path: &Path, header: &ImageHeader, file_bytes: u64) -> Result<()> {
     let ImageHeader { format, width, height, .. } = *header;
     let (pixels, decoded) = (u64::from(width) * u64::from(height), header.decoded_bytes());
@@ -247,8 +254,8 @@ pub(super) fn check_size(path: &Path, header: &ImageHeader, file_bytes: u64) -> 
         let help = "Reduce its size, e.g. with `magick FILE -resize 50% FILE`, or save it with 8 or 16 bits. If it is not that large, copy it again.";
         return Err(Error::input(path, "", problem, help));
     }
-    // The most that any of these saves: LZW, of eight pixels in a byte. WebP needs no more for a single color, and the header of an EXR
-    // is checked with its channels.
+    // The most that any of these saves: LZW, of eight pixels in a byte. WebP needs no more for a
+    // single color, and the header of an EXR is checked with its channels.
     let has_least = !matches!(format, Format::Webp | Format::Exr);
     if has_least && file_bytes < pixels / 8 / 4096 {
         let why =

@@ -1,5 +1,6 @@
-//! Decoded samples as linear radiance, with the repair of float pixels that are NaN, infinite, absurdly bright or negative, and as masks: the coverage
-//! of each pixel, from gray values, labels or alpha.
+//! Decoded samples as linear radiance, with the repair of float pixels that are NaN, infinite,
+//! absurdly bright or negative, and as masks: the coverage of each pixel, from gray values, labels
+//! or alpha.
 
 use crate::codec::image::format::{Format, ImageHeader, ImageSamples, Orientation};
 use crate::codec::image::{Decoded, decode_samples};
@@ -52,12 +53,13 @@ impl Gamma {
 /// A picture as read from its file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadedImage {
-    /// Linear radiance, coverage-weighted on black: straight (PNG) alpha has been multiplied in, EXR is taken as stored.
+    /// Linear radiance, coverage-weighted on black: straight (PNG) alpha has been multiplied in,
+    /// EXR is taken as stored.
     pub image: Image,
     /// Coverage in `[0, 1]`, one value per pixel, if the file has alpha.
     pub alpha: Option<Vec<f32>>,
-    /// In integer formats, pixels with a color channel at the highest storable value and an alpha above 0: that channel is a lower
-    /// bound. In float formats, the repaired pixels.
+    /// In integer formats, pixels with a color channel at the highest storable value and an alpha
+    /// above 0: that channel is a lower bound. In float formats, the repaired pixels.
     pub saturated: Vec<bool>,
     /// The repairs of float formats.
     pub repairs: Repairs,
@@ -65,15 +67,17 @@ pub struct LoadedImage {
     pub is_float: bool,
 }
 
-/// Reads a picture as linear radiance: PNG, JPEG, TIFF, WebP (8 and 16 bit; gray, RGB, palette, with and without alpha), EXR
-/// (half, float, uint; R, G, B or Y, optional A), Radiance HDR or float TIFF.
+/// Reads a picture as linear radiance: PNG, JPEG, TIFF, WebP (8 and 16 bit; gray, RGB, palette,
+/// with and without alpha), EXR (half, float, uint; R, G, B or Y, optional A), Radiance HDR or
+/// float TIFF.
 ///
-/// NaN, infinite and absurdly bright pixels are set to 0, counted in [`LoadedImage::repairs`] and marked as saturated.
+/// NaN, infinite and absurdly bright pixels are set to 0, counted in [`LoadedImage::repairs`] and
+/// marked as saturated.
 ///
 /// # Errors
-/// [`Error::Input`] if the file is missing, empty, damaged, truncated, in a format that is not read, too large, not in the
-/// format that its name says, has no finite pixel, or more than a few absurdly bright ones; [`Error::Usage`] for an impossible
-/// `gamma`.
+/// [`Error::Input`] if the file is missing, empty, damaged, truncated, in a format that is not
+/// read, too large, not in the format that its name says, has no finite pixel, or more than a few
+/// absurdly bright ones; [`Error::Usage`] for an impossible `gamma`.
 pub fn read_image(path: impl AsRef<Path>, gamma: Gamma, orientation: Orientation) -> Result<LoadedImage> {
     gamma.check()?;
     let (decoded, repairs) = repaired(path.as_ref(), orientation)?;
@@ -120,7 +124,8 @@ pub fn linear_image(decoded: &Decoded, repairs: Repairs, gamma: Gamma) -> Loaded
 }
 
 impl LoadedImage {
-    /// Adds linear premultiplied colors, alpha, and the flags of pixels with a channel at the top of its range.
+    /// Adds linear premultiplied colors, alpha, and the flags of pixels with a channel at the top
+    /// of its range.
     fn add_integers<T: Copy + Into<u32>>(&mut self, samples: &[T], channels: usize, curve: &[f32]) {
         let top = curve.len() as u32 - 1;
         for pixel in samples.chunks_exact(channels) {
@@ -162,8 +167,9 @@ pub struct Repairs {
     pub pixels: Vec<u32>,
 }
 
-/// Reads the samples of an image, and sets pixels of floats to 0 that are NaN, infinite or absurdly bright; clamps alpha to `[0, 1]`. A pixel
-/// whose color is not finite is still covered. Integers have nothing to repair.
+/// Reads the samples of an image, and sets pixels of floats to 0 that are NaN, infinite or absurdly
+/// bright; clamps alpha to `[0, 1]`. A pixel whose color is not finite is still covered. Integers
+/// have nothing to repair.
 fn repaired(path: &Path, orientation: Orientation) -> Result<(Decoded, Repairs)> {
     let mut decoded = decode_samples(path, orientation)?;
     let (channels, mut repairs) = (decoded.header.channels, Repairs::default());
@@ -200,19 +206,21 @@ const GREATEST_LABEL: u32 = 31;
 /// The greatest number of colors of a picture of labels, without black.
 const MOST_LABELS: usize = 16;
 
-/// Reads a mask: the stored luma (not linearized) divided by the highest storable value. If all that is covered is of one lower
-/// value (1 or 127 of 255, or one color), that value is full coverage, and others are scaled. A palette's colors count, not
-/// its indices. Alpha is the mask if it varies while the colors do not, or if the colors are those of a cut-out photograph. In
-/// float formats the mask is alpha, if any, else luminance, clamped to `[0, 1]`.
+/// Reads a mask: the stored luma (not linearized) divided by the highest storable value. If all
+/// that is covered is of one lower value (1 or 127 of 255, or one color), that value is full
+/// coverage, and others are scaled. A palette's colors count, not its indices. Alpha is the mask if
+/// it varies while the colors do not, or if the colors are those of a cut-out photograph. In float
+/// formats the mask is alpha, if any, else luminance, clamped to `[0, 1]`.
 ///
 /// # Errors
-/// [`Error::Input`] if the file is missing, not an image that is read, too large or damaged, if a float mask has NaN or infinite values, or
-/// if the mask has labels of several objects.
+/// [`Error::Input`] if the file is missing, not an image that is read, too large or damaged, if a
+/// float mask has NaN or infinite values, or if the mask has labels of several objects.
 pub fn read_mask(path: impl AsRef<Path>, orientation: Orientation) -> Result<Mask> {
     let path = path.as_ref();
     let decoded = decode_samples(path, orientation)?;
     let ImageHeader { format, width, height, channels, .. } = decoded.header;
-    // Compression changes the values of a JPEG a little: they say neither labels nor that one value is full.
+    // Compression changes the values of a JPEG a little: they say neither labels nor that one value
+    // is full.
     let is_exact = format != Format::Jpeg;
     let mut coverage = match &decoded.samples {
         ImageSamples::Bytes8(samples) => of_integers(path, samples, channels, 255, is_exact)?,
@@ -294,7 +302,8 @@ fn is_colorful(colors: &[[u32; 3]]) -> bool {
     colors.iter().any(|[r, g, b]| r != g || g != b)
 }
 
-/// Refuses a few colors or low values, which are labels of several objects: they say nothing of which one is meant.
+/// Refuses a few colors or low values, which are labels of several objects: they say nothing of
+/// which one is meant.
 fn check_labels(path: &Path, colors: &[[u32; 3]]) -> Result<()> {
     if !(2..=MOST_LABELS).contains(&colors.len()) {
         return Ok(());

@@ -1,9 +1,9 @@
 //! Reading photographs and masks: PNG, JPEG, TIFF, WebP, OpenEXR and Radiance HDR.
 //!
-//! The first bytes of a file determine its format, whatever its name. Embedded color profiles and gamma
-//! chunks are ignored: [`Gamma`] says how 8- and 16-bit values are read. Headers are read and checked before pixels are decoded.
-//! [`decode_photograph`] gives pixels as compact as the file has them; [`read_image`] and
-//! [`read_mask`] convert these to linear radiance and coverage.
+//! The first bytes of a file determine its format, whatever its name. Embedded color profiles and
+//! gamma chunks are ignored: [`Gamma`] says how 8- and 16-bit values are read. Headers are read and
+//! checked before pixels are decoded. [`decode_photograph`] gives pixels as compact as the file has
+//! them; [`read_image`] and [`read_mask`] convert these to linear radiance and coverage.
 //!
 //! [`encode_jpeg`] and [`encode_png`] are for pictures in memory, such as those that a page holds.
 
@@ -68,13 +68,15 @@ fn not_encoded(error: image::ImageError) -> Error {
 const RECOGNIZED_BY: usize = 64;
 /// Bytes that the chunks of a PNG beside its pixels may have.
 const MOST_CHUNK_BYTES: u64 = 1 << 26;
-/// Bytes in which the header of a JPEG is looked for: its usual segments, and more than it can have in all. Its decoder takes whole files.
+/// Bytes in which the header of a JPEG is looked for: its usual segments, and more than it can have
+/// in all. Its decoder takes whole files.
 const JPEG_HEADER_BYTES: [usize; 2] = [1 << 18, 1 << 24];
 
 /// An image whose samples are as the file has them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decoded {
-    /// The header; its size is that after turning, if the pixels are turned, and its orientation that which is left.
+    /// The header; its size is that after turning, if the pixels are turned, and its orientation
+    /// that which is left.
     pub header: ImageHeader,
     /// `width * height` times `channels` samples.
     pub samples: ImageSamples,
@@ -100,8 +102,9 @@ fn turned<T: Copy>(samples: Vec<T>, header: &ImageHeader) -> Vec<T> {
 /// Reads the header of an image file, and checks format and size. No pixels are decoded.
 ///
 /// # Errors
-/// [`Error::Input`] if the file is missing, empty, in a format that is not read (with the tool that converts it), or
-/// damaged so that its header cannot be read; also if the declared size is above 2²⁸ pixels, or more than a file of so few bytes can hold.
+/// [`Error::Input`] if the file is missing, empty, in a format that is not read (with the tool that
+/// converts it), or damaged so that its header cannot be read; also if the declared size is above
+/// 2²⁸ pixels, or more than a file of so few bytes can hold.
 pub fn image_header(path: impl AsRef<Path>) -> Result<ImageHeader> {
     let path = path.as_ref();
     read_header(path, &mut open(path, missing_file_help)?)
@@ -157,7 +160,8 @@ fn header_of(format: Format, mut decoder: impl ImageDecoder) -> ImageHeader {
     ImageHeader { format, width, height, channels, bits, is_float: format == Format::Hdr, exif }
 }
 
-/// The bytes of a JPEG at its beginning. The decoder fills missing data at the end of a file with gray, so the end marker is checked first.
+/// The bytes of a JPEG at its beginning. The decoder fills missing data at the end of a file with
+/// gray, so the end marker is checked first.
 fn whole_jpeg(path: &Path, mut source: BufReader<DiskFile>) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     source.read_to_end(&mut bytes).map_err(Error::io("read", path))?;
@@ -184,7 +188,8 @@ fn first_scan(bytes: &[u8]) -> Option<usize> {
     }
 }
 
-/// Reads the pixels of an image file as they are stored: nothing is converted to floats, and nothing is linearized.
+/// Reads the pixels of an image file as they are stored: nothing is converted to floats, and
+/// nothing is linearized.
 ///
 /// # Errors
 /// As for [`image_header`], and [`Error::Input`] if the pixels are damaged or truncated.

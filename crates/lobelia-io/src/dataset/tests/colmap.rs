@@ -50,7 +50,8 @@ fn write_binary(set: &Set, views: usize, model: u32, size: [u64; 2], parameters:
     set.write("sparse/0/images.bin", images);
 }
 
-/// A point through the model's own formulas: x = R(q) X + t, pixel = f x / z + c, pixel centers at +0.5.
+/// A point through the model's own formulas: x = R(q) X + t, pixel = f x / z + c, pixel centers at
+/// +0.5.
 #[test]
 fn quaternion_and_translation_are_camera_from_world() {
     let camera = colmap(1).all().views[0].camera;
@@ -307,7 +308,8 @@ fn names_with_accents_are_found() {
     assert_says(&accented("grun", "grun", COMPOSED).error(), &["its image is missing"]);
 }
 
-/// A folder as `llff_colmap_HDR` of Stanford-ORB: EXR photographs that the model calls PNG, and cameras of LLFF as well.
+/// A folder as `llff_colmap_HDR` of Stanford-ORB: EXR photographs that the model calls PNG, and
+/// cameras of LLFF as well.
 fn orb(views: usize) -> Set {
     let named: Vec<String> = (0..views).map(|i| format!("{i:04}.png")).collect();
     let set = model("sparse/0", &[], &named.iter().map(String::as_str).collect::<Vec<_>>());

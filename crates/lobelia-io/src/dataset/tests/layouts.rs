@@ -1,4 +1,5 @@
-//! The other layouts: which one is recognized, test splits that are held out, and those of NeRFactor, LLFF and IDR.
+//! The other layouts: which one is recognized, test splits that are held out, and those of
+//! NeRFactor, LLFF and IDR.
 
 use super::*;
 use crate::codec::test_data::{npy_matrix, write_npz};
@@ -119,7 +120,8 @@ fn each_view_has_a_folder_and_a_light_of_its_photograph() {
     assert!((camera.focal[0] - 3.0 / 0.4f32.tan()).abs() < 1e-5);
     assert_eq!(camera.world_from_camera.translation, Vec3::new(0.1, 0.2, 3.0).into());
     assert_eq!(camera.world_from_camera.matrix3.z_axis, Vec3::NEG_Z.into());
-    // Files of NeRF's form beside the folders change nothing, and a test view under several other lights is a camera.
+    // Files of NeRF's form beside the folders change nothing, and a test view under several other
+    // lights is a camera.
     set.write(NERF_FILE, json!({"frames": [nerf_frame("./train_000/rgba")]}).to_string());
     assert_eq!(set.split(Split::Train).layout, Layout::Nerfactor);
     set.rename("test_000/rgba.png", "test_000/rgba_night.png");
@@ -161,7 +163,8 @@ fn the_photograph_is_the_usual_one_or_the_only_one() {
     }
 }
 
-/// At (0.1, 0.2, 3), looking along −Z with +Y up: the axes are down, right and backward. Written for 12×8 pixels, twice [`SIZE`].
+/// At (0.1, 0.2, 3), looking along −Z with +Y up: the axes are down, right and backward. Written
+/// for 12×8 pixels, twice [`SIZE`].
 const ROW: [f64; 17] =
     [0.0, 1.0, 0.0, 0.1, 8.0, -1.0, 0.0, 0.0, 0.2, 12.0, 0.0, 0.0, 1.0, 3.0, 20.0, 1.0, 9.0];
 const LLFF_FILE: &str = "poses_bounds.npy";

@@ -14,7 +14,8 @@ use serde_json::{Value, json};
 use std::{fs, path::PathBuf};
 use tempfile::TempDir;
 
-/// A name with an accent in two forms: as most files of cameras have it, and as file systems of macOS do.
+/// A name with an accent in two forms: as most files of cameras have it, and as file systems of
+/// macOS do.
 const COMPOSED: &str = "gr\u{fc}n";
 const DECOMPOSED: &str = "gru\u{308}n";
 /// Width and height of the tiny images.

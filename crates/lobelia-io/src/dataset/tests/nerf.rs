@@ -1,5 +1,5 @@
-//! The layout of NeRF: files of splits, one `transforms.json` for all views, images that are not where it says, lenses, poses, and
-//! Stanford-ORB's masks.
+//! The layout of NeRF: files of splits, one `transforms.json` for all views, images that are not
+//! where it says, lenses, poses, and Stanford-ORB's masks.
 
 use super::*;
 
@@ -271,7 +271,8 @@ fn images_may_have_been_converted_or_renamed_since() {
         let set = transforms(&[photograph], &[named]).all();
         assert!(names(&set) == ["a"] && set.views[0].photograph.is_some(), "{photograph} for {named}");
     }
-    // Letters with accents are one character in most files of cameras, and two in names of files on macOS.
+    // Letters with accents are one character in most files of cameras, and two in names of files on
+    // macOS.
     for named in ["images/NAME.png", "images/NAME", "./images/NAME", "/home/me/images/NAME.png"] {
         let set = transforms(&[&format!("images/{DECOMPOSED}.png")], &[&named.replace("NAME", COMPOSED)]);
         set.mask(&format!("masks/{DECOMPOSED}.png"));
@@ -376,7 +377,8 @@ fn masks_of_splits_come_from_their_own_folders_and_cut_the_background() {
     let photograph = train.views[1].photograph.as_ref().unwrap();
     assert_eq!([3, 4].map(|pixel| photograph.radiance(pixel)), [Vec3::splat(2.5), Vec3::ZERO]);
     assert_eq!(names(&set.split(Split::Test)), ["0000"]);
-    // Read as NeRF's, there are no masks: those of the other split have names of photographs of this one.
+    // Read as NeRF's, there are no masks: those of the other split have names of photographs of
+    // this one.
     set.remove("train_mask");
     set.mask("test_mask/0001.png");
     let options = DatasetOptions { layout: Layout::Nerf, ..DatasetOptions::default() };

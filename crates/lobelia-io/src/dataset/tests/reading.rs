@@ -1,4 +1,5 @@
-//! What holds in all layouts: options, photographs, masks and names, and what is refused; cameras of PhySG and NeRF.
+//! What holds in all layouts: options, photographs, masks and names, and what is refused; cameras
+//! of PhySG and NeRF.
 
 use super::*;
 

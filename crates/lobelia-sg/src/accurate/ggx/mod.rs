@@ -1,13 +1,16 @@
-//! GGX for the accurate kernel: D = α²/(π((n·h)²(α² − 1) + 1)²)  with α = R² (R is the paper's roughness). It is itself for lobes that
-//! are narrow against it (`accurate/narrow.rs`), and three SGs in h for others.
+//! GGX for the accurate kernel: D = α²/(π((n·h)²(α² − 1) + 1)²) with α = R² (R is the paper's
+//! roughness). It is itself for lobes that are narrow against it (`accurate/narrow.rs`), and three
+//! SGs in h for others.
 //!
-//! With x = 1 − h·n and β = 1/α² − 1 the distribution is (1 + u)⁻²/(πα²), u = β(2x − x²). The fit (1 + u)⁻² ≈ Σ a·e^(−su) over
-//! u in [0, 600], with the least mean absolute error, becomes SGs of sharpness L = βs(2 − x̄) with x̄ = 1/(1 + 2βs), about the
-//! reach of each. Mean absolute error of D·(n·h) over the hemisphere: 5 % for R ≤ 0.5, 7 % above, mostly in the far tail.
+//! With x = 1 − h·n and β = 1/α² − 1 the distribution is (1 + u)⁻²/(πα²), u = β(2x − x²). The fit
+//! (1 + u)⁻² ≈ Σ a·e^(−su) over u in [0, 600], with the least mean absolute error, becomes SGs of
+//! sharpness L = βs(2 − x̄) with x̄ = 1/(1 + 2βs), about the reach of each. Mean absolute error of
+//! D·(n·h) over the hemisphere: 5 % for R ≤ 0.5, 7 % above, mostly in the far tail.
 //!
-//! Error of the specular light of one lobe, quadrature included, against a cubature of GGX itself, over random lit cases with R in
-//! 0.03–1 and λ in 1e-3–1e6: 0.7 % median, 5 % at the 90th percentile, mean −0.7 %. Renderings of a sphere under one soft and
-//! two sharper lobes have a PSNR of 53 dB against path tracing of GGX itself for R = 0.15, 0.3 and 0.5, and 48 dB for R = 0.8.
+//! Error of the specular light of one lobe, quadrature included, against a cubature of GGX itself,
+//! over random lit cases with R in 0.03–1 and λ in 1e-3–1e6: 0.7 % median, 5 % at the 90th
+//! percentile, mean −0.7 %. Renderings of a sphere under one soft and two sharper lobes have a PSNR
+//! of 53 dB against path tracing of GGX itself for R = 0.15, 0.3 and 0.5, and 48 dB for R = 0.8.
 
 use super::point::{Mixture, PointDerivatives, PointTerms, prepare_with_ndf};
 use crate::brdf::Ndf;
@@ -44,7 +47,8 @@ pub fn ggx_mixture<F: Real>(roughness: F) -> ([[F; 2]; GGX_LOBES], [[F; 2]; GGX_
 /// Number of distributions of a point with GGX: the SGs, and GGX itself.
 pub const GGX_TERMS: usize = GGX_LOBES + 1;
 
-/// [`ggx_mixture`], and GGX itself as (w·L/2π)·(1 + Ld(2 − d)/4)⁻² with d = 1 − h·n, L = 4β and w = 2/(α²L).
+/// [`ggx_mixture`], and GGX itself as (w·L/2π)·(1 + Ld(2 − d)/4)⁻² with d = 1 − h·n, L = 4β and w =
+/// 2/(α²L).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct GgxSgs;
 
@@ -74,7 +78,8 @@ fn steepness<F: Real>(roughness: F) -> (F, F, F) {
     (raw.max(floor), raw.select_lt(floor, zero, by_roughness), alpha2)
 }
 
-/// [`super::point::prepare_point`] with GGX for the NDF; a pair costs three times as much, unless its lobe is narrow.
+/// [`super::point::prepare_point`] with GGX for the NDF; a pair costs three times as much, unless
+/// its lobe is narrow.
 #[inline(always)]
 pub fn prepare_ggx_point<F: Real>(
     normal: Vec3Of<F>,

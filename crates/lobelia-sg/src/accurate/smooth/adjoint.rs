@@ -1,5 +1,5 @@
-//! The adjoint of the specular light of a smooth lobe. Directions move with the lobe: a clipped Gaussian's mean follows its center by its
-//! variance.
+//! The adjoint of the specular light of a smooth lobe. Directions move with the lobe: a clipped
+//! Gaussian's mean follows its center by its variance.
 
 use super::ring::{Reading, Ring, SHARE, both, read};
 use crate::accurate::placement::{LocalLight, Tail, Vec2Of};
@@ -12,7 +12,8 @@ struct Sums<F> {
     powered: F,
     plain: F,
     value: F,
-    /// Direction × gradient of the logarithm of the BRDF there; along the normal, over v's part along the tangent.
+    /// Direction × gradient of the logarithm of the BRDF there; along the normal, over v's part
+    /// along the tangent.
     torque: Vec3Of<F>,
     /// Gradient · offset of the direction from the axis.
     outward: F,
@@ -37,7 +38,8 @@ impl<F: Real> Sums<F> {
         }
     }
 
-    /// Adds a direction: how far its pair is from the axis along the normal, and the reduction of v·ω for that distance along the view.
+    /// Adds a direction: how far its pair is from the axis along the normal, and the reduction of
+    /// v·ω for that distance along the view.
     #[inline(always)]
     fn add(
         &mut self,
@@ -57,7 +59,8 @@ impl<F: Real> Sums<F> {
         let falls = factors.shadowing * point.one_minus_k;
         let pull = factors.toward * *over_sum;
         let up = value * (pull - falls);
-        // d(ln of the Fresnel power)/d(v·h) = −ln 2·(2·5.55473 v·h + 6.8316), and d(v·h) = v·dω/(2|v + ω|).
+        // d(ln of the Fresnel power)/d(v·h) = −ln 2·(2·5.55473 v·h + 6.8316), and d(v·h) =
+        // v·dω/(2|v + ω|).
         let glancing = view_half.mul_plus(view_half.lit(11.10946 * FRESNEL), 6.8316 * FRESNEL);
         let view = *over_sum * (value * pull).mul_add(half[2], share * glancing);
         // The gradient is up·n − view·v.

@@ -57,7 +57,8 @@ pub fn pair_smoothness<F: Real, const NDF: usize>(
     if NDF == 1 { margin } else { margin.min(narrowness(point, axis, sharpness).0.plus(-1.0)) }
 }
 
-/// Above 0 where a point may have smooth lobes. Of a glossy SG they would be few, which is not worth a pass of their own.
+/// Above 0 where a point may have smooth lobes. Of a glossy SG they would be few, which is not
+/// worth a pass of their own.
 #[inline(always)]
 pub fn broadness<F: Real, const NDF: usize>(point: &PointTerms<F, NDF>) -> F {
     let l = point.ndf[NDF - 1].sharpness;
@@ -121,7 +122,8 @@ impl<F: Real> Ring<F> {
         if index == 0 { self.weight } else { self.weight.one() - self.weight }
     }
 
-    /// The two directions at offset `index`: half of their sum, half of their difference along tangent and bitangent, and |X|²/2.
+    /// The two directions at offset `index`: half of their sum, half of their difference along
+    /// tangent and bitangent, and |X|²/2.
     #[inline(always)]
     pub fn pair(&self, index: usize) -> (Vec3Of<F>, Vec2Of<F>, F) {
         let u = self.offsets[index];
@@ -143,10 +145,12 @@ const FIRST: [f64; 6] = [-0.22558696, -0.38990615, -0.2507373, -0.48047788, -0.0
 const SECOND: [f64; 6] = [1.1455448, 0.053427626, -0.18360849, -0.13100331, -0.21379183, 0.32586162];
 const WEIGHT: [f64; 6] = [0.65104744, -0.085341476, -0.032522302, -0.12418148, 0.0076033717, 0.08087648];
 
-/// Gauss's rule of two nodes for the weight v·e^(−(v − t)²/2) on v > 0, whose maximum is at v − t = a, 1/a − a = t: v − t of both nodes, and
-/// the part of the mass at the first. For t between [`LOWEST`] and [`HIGHEST`], beyond which a cancels.
+/// Gauss's rule of two nodes for the weight v·e^(−(v − t)²/2) on v > 0, whose maximum is at v − t =
+/// a, 1/a − a = t: v − t of both nodes, and the part of the mass at the first. For t between
+/// [`LOWEST`] and [`HIGHEST`], beyond which a cancels.
 ///
-/// First node − a, second node − a and the first's weight are polynomials in τ = t/√(t² + 4), fitted from [`LOWEST`] on: errors 9e-3, 4e-3 and 3e-3.
+/// First node − a, second node − a and the first's weight are polynomials in τ = t/√(t² + 4),
+/// fitted from [`LOWEST`] on: errors 9e-3, 4e-3 and 3e-3.
 #[inline(always)]
 pub fn two_nodes<F: Real>(t: F) -> ([F; 2], F) {
     let square = t.mul_add(t, t.lit(4.0));
@@ -156,7 +160,8 @@ pub fn two_nodes<F: Real>(t: F) -> ([F; 2], F) {
     ([a + polynomial(tau, &FIRST), a + polynomial(tau, &SECOND)], polynomial(tau, &WEIGHT))
 }
 
-/// The BRDF in one direction, times the direction's weight, without the factors of the point and without F.
+/// The BRDF in one direction, times the direction's weight, without the factors of the point and
+/// without F.
 pub struct Reading<F> {
     pub factors: Factors<F>,
     /// h along tangent, bitangent and normal.

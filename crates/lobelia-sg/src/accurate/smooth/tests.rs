@@ -8,7 +8,8 @@ use crate::cases::{Case, unit};
 use crate::real::{dot, scale, sub};
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
-/// The first three moments of v − t for the weight v·e^(−(v − t)²/2) on v > 0, by the trapezoidal rule.
+/// The first three moments of v − t for the weight v·e^(−(v − t)²/2) on v > 0, by the trapezoidal
+/// rule.
 fn moments(t: f64) -> [f64; 3] {
     let (n, high) = (100_000, t.max(0.0) + 12.0);
     let h = high / f64::from(n);

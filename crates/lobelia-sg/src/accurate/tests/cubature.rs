@@ -1,4 +1,5 @@
-//! The reference for the tests: adaptive cubature of light SG × BRDF × cosine over the hemisphere, in `f64`.
+//! The reference for the tests: adaptive cubature of light SG × BRDF × cosine over the hemisphere,
+//! in `f64`.
 
 use crate::brdf::{Facets, Ndf, specular_affine};
 use crate::cases::{Case, unit};
@@ -30,7 +31,8 @@ pub(crate) fn integrand(case: &Case, ndf: Ndf, omega: [f64; 3]) -> Integrals {
     [light, light * constant, light * slope]
 }
 
-/// A patch of the hemisphere in (s, φ) with cos θ = 1 − s², so that the horizon is an edge and the pole is smooth.
+/// A patch of the hemisphere in (s, φ) with cos θ = 1 − s², so that the horizon is an edge and the
+/// pole is smooth.
 #[derive(Clone, Copy)]
 struct Patch {
     corner: [f64; 2],
@@ -188,7 +190,8 @@ pub(crate) fn integrate(case: &Case, ndf: Ndf, relative: f64) -> Integrals {
 
 #[test]
 fn cubature_knows_what_is_known() {
-    // Over the whole hemisphere the cosine integrates to π; a lobe along the normal has a closed form.
+    // Over the whole hemisphere the cosine integrates to π; a lobe along the normal has a closed
+    // form.
     let case = |sharpness: f64| Case {
         normal: [0.0, 0.6, 0.8],
         to_viewer: [0.0, 0.6, 0.8],

@@ -1,10 +1,11 @@
 //! The unbiased path tracer: the reference for closed forms, and the renderer for final quality.
 //!
-//! At every vertex of a path one direction is sampled from the light (next event estimation, with a shadow ray) and one
-//! from the BRDF, in which the path continues; multiple importance sampling weights both by the power heuristic. Nothing
-//! is clamped. The BRDF is that of PhySG supp. eqs. 1–7; for materials with GGX, D is GGX itself, not the
-//! SGs that closed forms use for it. The BRDF does not conserve energy: with high albedo and at grazing angles a
-//! vertex can reflect more light than it receives, and the throughput of a long path in a concave object may then grow.
+//! At every vertex of a path one direction is sampled from the light (next event estimation, with a
+//! shadow ray) and one from the BRDF, in which the path continues; multiple importance sampling
+//! weights both by the power heuristic. Nothing is clamped. The BRDF is that of PhySG supp. eqs.
+//! 1–7; for materials with GGX, D is GGX itself, not the SGs that closed forms use for it. The BRDF
+//! does not conserve energy: with high albedo and at grazing angles a vertex can reflect more light
+//! than it receives, and the throughput of a long path in a concave object may then grow.
 //!
 //! | parameter | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
@@ -37,7 +38,8 @@ pub struct PathScene<'a> {
     pub sheen: &'a [Shown<DiffuseSheen>],
     /// Tilt of every texel; empty if there is none.
     pub tilt: &'a [Shown<DiffuseTilt>],
-    /// Blend weights of the base materials at every texel; empty if all of the surface is material 0.
+    /// Blend weights of the base materials at every texel; empty if all of the surface is material
+    /// 0.
     pub blends: &'a [Shown<SpecularBlend>],
     /// Base materials by number; `None` has no specular light.
     pub specular: &'a [Option<SpecularLobe>],
@@ -109,7 +111,8 @@ pub struct PathQuery {
     pub point: PathPoint,
     /// Unit direction from the point to the viewer.
     pub to_viewer: Vec3,
-    /// Index of an independent stream of random numbers, e.g. the index of the pixel over all views.
+    /// Index of an independent stream of random numbers, e.g. the index of the pixel over all
+    /// views.
     pub stream: u64,
     /// Index of the first sample in its stream: the points of one pixel (for antialiasing) have
     /// one stream and successive indices, so that its samples are well distributed together.
@@ -119,7 +122,8 @@ pub struct PathQuery {
 /// Outgoing radiance at a point, as a mean over samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PathEstimate {
-    /// Radiance of paths whose vertex next to the viewer scatters by the diffuse term (all bounces included), linear RGB.
+    /// Radiance of paths whose vertex next to the viewer scatters by the diffuse term (all bounces
+    /// included), linear RGB.
     pub diffuse: Vec3,
     /// Radiance of paths whose vertex next to the viewer scatters by the specular term; the pixel
     /// is the sum of the two.
@@ -130,7 +134,8 @@ pub struct PathEstimate {
 
 /// Outgoing radiance at the point of `query` toward its viewer, from `samples` paths.
 ///
-/// Zero if the viewer is below the horizon of the shading normal. The result depends on the arguments only.
+/// Zero if the viewer is below the horizon of the shading normal. The result depends on the
+/// arguments only.
 pub fn shade_point(
     scene: &PathScene,
     settings: &PathSettings,
@@ -153,10 +158,11 @@ pub fn shade_point(
     PathEstimate { diffuse, specular, rejected }
 }
 
-/// [`shade_point`] for every query, in parallel; `out` is as long as `queries` (excess entries of either are ignored).
+/// [`shade_point`] for every query, in parallel; `out` is as long as `queries` (excess entries of
+/// either are ignored).
 ///
-/// Each result depends on its own query only, so that it is independent of threads and of the partition of queries. A run that is
-/// stopping ([`is_stopping`]) leaves entries as they are.
+/// Each result depends on its own query only, so that it is independent of threads and of the
+/// partition of queries. A run that is stopping ([`is_stopping`]) leaves entries as they are.
 pub fn shade_points(
     scene: &PathScene,
     settings: &PathSettings,
@@ -178,7 +184,8 @@ pub fn shade_points(
 /// Points that a thread processes at a time.
 const CHUNK: usize = 16;
 
-/// A color in two parts: scattered by the diffuse term, and by the specular term, at the first vertex.
+/// A color in two parts: scattered by the diffuse term, and by the specular term, at the first
+/// vertex.
 #[derive(Clone, Copy, Debug, Default)]
 struct Split {
     diffuse: Vec3,
@@ -215,7 +222,8 @@ struct Path<'a> {
 }
 
 impl Path<'_> {
-    /// Traces the path from the viewer's point until it leaves the scene, is absorbed, or has the maximum length.
+    /// Traces the path from the viewer's point until it leaves the scene, is absorbed, or has the
+    /// maximum length.
     fn walk(&mut self, query: &PathQuery) {
         let mut point = query.point;
         let mut to_viewer = query.to_viewer;
@@ -239,7 +247,8 @@ impl Path<'_> {
         Scatterer::new(point.normal.to_array(), to_viewer.to_array(), point.albedo.to_array(), specular)
     }
 
-    /// Samples one of the blended materials with a probability equal to its weight, so that the expected value is the blend. The remaining probability selects no material.
+    /// Samples one of the blended materials with a probability equal to its weight, so that the
+    /// expected value is the blend. The remaining probability selects no material.
     fn pick_material(&self, point: &PathPoint, depth: u32) -> usize {
         if self.scene.specular.len() < 2 && self.scene.blends.is_empty() {
             return 0;
@@ -257,7 +266,8 @@ impl Path<'_> {
         if whole == sum { 0 } else { usize::MAX }
     }
 
-    /// Next event estimation: a direction sampled from the light, weighted by multiple importance sampling.
+    /// Next event estimation: a direction sampled from the light, weighted by multiple importance
+    /// sampling.
     fn find_light(&mut self, vertex: &Vertex, scatterer: &Scatterer) {
         let drawn = self.scene.light.sample(self.uniforms(vertex.depth, DRAW_LIGHT));
         if !above_zero(drawn.pdf) {
@@ -275,7 +285,8 @@ impl Path<'_> {
         }
     }
 
-    /// Samples a direction from the BRDF and adds its light; if the path may continue: the direction, what it meets, and the throughput.
+    /// Samples a direction from the BRDF and adds its light; if the path may continue: the
+    /// direction, what it meets, and the throughput.
     fn follow_brdf(&mut self, vertex: &Vertex, scatterer: &Scatterer) -> Option<(Vec3, Hit, Split)> {
         let direction = scatterer.sample(self.uniforms(vertex.depth, DRAW_BRDF))?;
         let scattered = scatterer.evaluate(direction);
@@ -308,7 +319,8 @@ impl Path<'_> {
         }
     }
 
-    /// Russian roulette: ends paths of low throughput at random and increases the weight of the others.
+    /// Russian roulette: ends paths of low throughput at random and increases the weight of the
+    /// others.
     fn roulette(&self, depth: u32, carried: Split) -> Option<Split> {
         if depth < self.settings.roulette_after {
             return Some(carried);

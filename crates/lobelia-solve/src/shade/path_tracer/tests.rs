@@ -35,7 +35,8 @@ impl Intersect for Empty {
     }
 }
 
-/// A sphere, or the part of its wall below `brim` (a height over the center in radii; 1 for all of it), with one texel.
+/// A sphere, or the part of its wall below `brim` (a height over the center in radii; 1 for all of
+/// it), with one texel.
 struct Shell {
     center: Vec3,
     radius: f32,
@@ -197,8 +198,9 @@ fn a_convex_surface_does_not_shadow_itself() {
     }
 }
 
-/// In a diffuse spherical bowl every wall point sees every other alike: with f the open cap's share of the sphere, a bounce
-/// passes on a(1 − f), and n bounces give a·f·Σ (a(1 − f))^i, i < n, of the sky's radiance.
+/// In a diffuse spherical bowl every wall point sees every other alike: with f the open cap's share
+/// of the sphere, a bounce passes on a(1 − f), and n bounces give a·f·Σ (a(1 − f))^i, i < n, of the
+/// sky's radiance.
 #[test]
 fn a_bowl_gathers_its_geometric_series() {
     let bowl = Shell { center: Vec3::ZERO, radius: 1.0, brim: 0.4, side: -1.0 };
@@ -238,7 +240,8 @@ fn roulette_keeps_the_mean() {
     }
 }
 
-/// Threads and the split into calls do not change a bit; samples taken in two halves are the samples taken at once.
+/// Threads and the split into calls do not change a bit; samples taken in two halves are the
+/// samples taken at once.
 #[test]
 fn results_depend_on_the_query_alone() {
     let bowl = Shell { center: Vec3::ZERO, radius: 1.0, brim: 0.2, side: -1.0 };

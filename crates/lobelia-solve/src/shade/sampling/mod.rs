@@ -21,7 +21,8 @@ struct TangentFrame {
 }
 
 impl TangentFrame {
-    /// Axes around a unit normal (Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017).
+    /// Axes around a unit normal (Duff et al., "Building an Orthonormal Basis, Revisited", JCGT
+    /// 6(1), 2017).
     #[inline]
     fn new(normal: Vec3Of<f32>) -> Self {
         let [x, y, z] = normal;
@@ -69,7 +70,8 @@ fn sample_ggx(frame: &TangentFrame, roughness: f32, u: [f32; 2]) -> Vec3Of<f32> 
     frame.world(sine * c, sine * s, cosine)
 }
 
-/// Scattering at a point for light from one direction: BRDF times cosine, in two parts, and the density of the direction.
+/// Scattering at a point for light from one direction: BRDF times cosine, in two parts, and the
+/// density of the direction.
 #[derive(Clone, Copy, Debug)]
 pub struct Scattered {
     /// a/π · (n·ωi), per channel.
@@ -82,9 +84,10 @@ pub struct Scattered {
 
 /// A surface point seen from one side: evaluates and samples its BRDF.
 ///
-/// The density is a mixture of the cosine around the normal and of mirror directions at microfacet normals drawn
-/// exactly from the NDF's SG, for which f_s (n·ωi)/pdf = F·G·(ωo·h)/((n·ωo)·chance) is bounded. From GGX they are drawn in
-/// proportion to D·(n·h), for which it is that over n·h: bounded as well, since n·h ≥ (n·ωo + n·ωi)/2.
+/// The density is a mixture of the cosine around the normal and of mirror directions at microfacet
+/// normals drawn exactly from the NDF's SG, for which f_s (n·ωi)/pdf = F·G·(ωo·h)/((n·ωo)·chance)
+/// is bounded. From GGX they are drawn in proportion to D·(n·h), for which it is that over n·h:
+/// bounded as well, since n·h ≥ (n·ωo + n·ωi)/2.
 #[derive(Clone, Copy, Debug)]
 pub struct Scatterer {
     frame: TangentFrame,
@@ -97,9 +100,11 @@ pub struct Scatterer {
 }
 
 impl Scatterer {
-    /// A point with a unit shading `normal`, seen along the unit direction `to_viewer`; `specular` is (albedo, microfacets).
+    /// A point with a unit shading `normal`, seen along the unit direction `to_viewer`; `specular`
+    /// is (albedo, microfacets).
     ///
-    /// `None` if the viewer is below the horizon of the shading normal, where the point scatters no light.
+    /// `None` if the viewer is below the horizon of the shading normal, where the point scatters no
+    /// light.
     #[inline]
     pub fn new(
         normal: Vec3Of<f32>,
@@ -125,7 +130,8 @@ impl Scatterer {
         Some(Self { frame, to_viewer, albedo, specular_albedo, facets, specular_chance })
     }
 
-    /// BRDF times cosine for light from the unit direction `to_light`, and the density of [`Self::sample`]; zero below the horizon.
+    /// BRDF times cosine for light from the unit direction `to_light`, and the density of
+    /// [`Self::sample`]; zero below the horizon.
     #[inline]
     pub fn evaluate(&self, to_light: Vec3Of<f32>) -> Scattered {
         let normal = self.frame.normal;
@@ -186,8 +192,9 @@ impl Scatterer {
     }
 }
 
-/// The power heuristic (Veach and Guibas 1995), the weight of a direction drawn with density `own` > 0, which another strategy would draw with
-/// density `other`: own²/(own² + other²), computed from the ratio so that no square overflows.
+/// The power heuristic (Veach and Guibas 1995), the weight of a direction drawn with density `own`
+/// > 0, which another strategy would draw with density `other`: own²/(own² + other²), computed from
+/// the ratio so that no square overflows.
 #[inline]
 pub fn power_heuristic(own: f32, other: f32) -> f32 {
     if other > own {
@@ -234,7 +241,8 @@ mod tests {
         }
     }
 
-    /// The scatterer's density integrates to the fraction of draws that are above the horizon, and the moments agree.
+    /// The scatterer's density integrates to the fraction of draws that are above the horizon, and
+    /// the moments agree.
     #[test]
     fn scattered_draws_follow_their_density() {
         let normal = [0.0, 0.0, 1.0];

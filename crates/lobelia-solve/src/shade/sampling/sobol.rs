@@ -1,15 +1,17 @@
 //! Low-discrepancy random numbers: Owen-scrambled Sobol' points, three dimensions at a time.
 //!
-//! Every random decision of a path draws one *group* of three numbers. Within a group the points of a pixel's
-//! samples are a Sobol' net; different groups and different pixels are shuffled and scrambled independently by
-//! hashes ("padding"), after Burley, "Practical Hash-based Owen Scrambling", JCGT 9(4), 2020, with Vegdahl's
-//! hash. The numbers depend on (seed, stream, sample, group) only, not on threads or call order.
+//! Every random decision of a path draws one *group* of three numbers. Within a group the points of
+//! a pixel's samples are a Sobol' net; different groups and different pixels are shuffled and
+//! scrambled independently by hashes ("padding"), after Burley, "Practical Hash-based Owen
+//! Scrambling", JCGT 9(4), 2020, with Vegdahl's hash. The numbers depend on (seed, stream, sample,
+//! group) only, not on threads or call order.
 
 /// Direction numbers of the first three Sobol' dimensions (Joe and Kuo's `new-joe-kuo-6`).
 const DIRECTIONS: [[u32; 32]; 3] =
     [directions(0, 0, [0, 0]), directions(1, 0, [1, 0]), directions(2, 1, [1, 3])];
 
-/// Direction numbers of the primitive polynomial of `degree` with inner coefficients `inner`; degree 0 is van der Corput's.
+/// Direction numbers of the primitive polynomial of `degree` with inner coefficients `inner`;
+/// degree 0 is van der Corput's.
 const fn directions(degree: usize, inner: u32, initial: [u32; 2]) -> [u32; 32] {
     let mut v = [0u32; 32];
     let mut i = 0;
@@ -48,7 +50,8 @@ fn sobol(mut index: u32, dimension: usize) -> u32 {
     x
 }
 
-/// Nested uniform (Owen) scrambling of a fixed-point fraction: each bit is flipped by a hash of the bits above it.
+/// Nested uniform (Owen) scrambling of a fixed-point fraction: each bit is flipped by a hash of the
+/// bits above it.
 #[inline]
 fn owen_scramble(x: u32, seed: u32) -> u32 {
     let mut x = x.reverse_bits();
@@ -108,7 +111,8 @@ impl Sequence {
 mod tests {
     use super::*;
 
-    /// The first two dimensions are a (0, m, 2)-net: 256 points put one in each cell of every grid of 256 cells.
+    /// The first two dimensions are a (0, m, 2)-net: 256 points put one in each cell of every grid
+    /// of 256 cells.
     #[test]
     fn points_are_stratified_in_every_dimension() {
         for group in 0..8 {
@@ -136,7 +140,8 @@ mod tests {
         assert_ne!(a, Sequence::new(1, 2, 3).group_bits(1));
     }
 
-    /// Scrambled points are uniform: over independent streams the first point's mean and mean square are ½ and ⅓.
+    /// Scrambled points are uniform: over independent streams the first point's mean and mean
+    /// square are ½ and ⅓.
     #[test]
     fn each_point_is_uniform_over_streams() {
         let count = 20_000;

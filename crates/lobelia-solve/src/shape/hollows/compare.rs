@@ -6,7 +6,8 @@ use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_sg::ray::Ray;
 
-/// Angles in degrees between a view and those around it: less shows no depth, from more the same is seldom seen.
+/// Angles in degrees between a view and those around it: less shows no depth, from more the same is
+/// seldom seen.
 const ANGLES: (f32, f32) = (6.0, 50.0);
 const MOST_SOURCES: usize = 10;
 /// Sine of the angle to a typical one.
@@ -25,8 +26,8 @@ const LEAST_PIXELS: f32 = 5.0;
 const MOST_DIFFERENCE: f32 = 0.6;
 /// Stands for a difference that is not known.
 const UNKNOWN: f32 = -1.0;
-/// Views that must see a depth, and share of them whose colors must agree. From the others something may hide it that is not known
-/// yet, such as the wall of a deep cup below its lid.
+/// Views that must see a depth, and share of them whose colors must agree. From the others
+/// something may hide it that is not known yet, such as the wall of a deep cup below its lid.
 const LEAST_SOURCES: usize = 3;
 const BEST_SHARE: f32 = 0.3;
 /// How many times smaller the difference of colors must be than at the surface, and by how much.
@@ -44,8 +45,8 @@ pub(super) fn around(pictures: &[ColorPicture], of: usize, center: Vec3) -> Vec<
     (0..count).map(|k| near[((k as f32 + 0.5) * stride) as usize]).collect()
 }
 
-/// How far along its rays a picture sees something: the surface, where they go to what is `seen`, or what lies behind it; 0 where that is
-/// not known. `sources` are views around it.
+/// How far along its rays a picture sees something: the surface, where they go to what is `seen`,
+/// or what lies behind it; 0 where that is not known. `sources` are views around it.
 pub fn compare(bvh: &TriangleBvh, picture: &ColorPicture, seen: &[Seen], sources: &[Source]) -> Vec<f32> {
     let mut depths = vec![0.0; seen.len()];
     if sources.len() < LEAST_SOURCES {
@@ -92,7 +93,8 @@ fn shift_of(k: usize) -> f32 {
     (k as f32 - AT_SURFACE as f32) * STEP
 }
 
-/// The last step of each pixel's search, where its ray leaves the surface for good; 0 where it meets none.
+/// The last step of each pixel's search, where its ray leaves the surface for good; 0 where it
+/// meets none.
 fn last_steps(bvh: &TriangleBvh, picture: &ColorPicture, seen: &[Seen], step: f32) -> Vec<usize> {
     let (center, radius) = bvh.bounding_sphere();
     let beyond = picture.camera.position().distance(center) + 2.0 * radius;
@@ -150,7 +152,8 @@ impl<'a> Search<'a> {
         rows.flat_map(move |y| columns.clone().map(move |x| y * width + x))
     }
 
-    /// Hands out how much the best of the views around differ in each pixel's patch, if the surface is moved along the rays by `shift` pixels.
+    /// Hands out how much the best of the views around differ in each pixel's patch, if the surface
+    /// is moved along the rays by `shift` pixels.
     fn differences(&mut self, shift: f32, mut found: impl FnMut(usize, f32)) {
         self.warp(shift);
         for &at in &self.asked {
@@ -176,7 +179,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Writes the differences of colors between each pixel that is looked up and the views around it.
+    /// Writes the differences of colors between each pixel that is looked up and the views around
+    /// it.
     fn warp(&mut self, shift: f32) {
         let origin = self.picture.camera.position();
         for &at in &self.looked_up {

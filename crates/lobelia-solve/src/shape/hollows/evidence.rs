@@ -1,11 +1,14 @@
-//! Evidence of the photographs about space inside the hull: whether they look through it, and how much better that explains them.
+//! Evidence of the photographs about space inside the hull: whether they look through it, and how
+//! much better that explains them.
 //!
-//! A field of densities also explains reflections in a surface by something dense behind it, as if one looked through the surface. It does so
-//! badly: a reflection moves otherwise than anything that stands still behind a window. So two models compete for each pixel. One is opaque at
-//! the surface, with a color that all photographs share; the other is the field. Their squared errors are summed over all rays that pass a
-//! vertex before they are stopped, and over all vertices of a connected space. A deep hollow leaves the field 1 to 3 % of the error of its lid;
-//! reflections in paint or metal leave 10 to 25 %. Between them is the excess of a hull beside a glossy surface: there the field is dense too
-//! deep, and would eat into the object.
+//! A field of densities also explains reflections in a surface by something dense behind it, as if
+//! one looked through the surface. It does so badly: a reflection moves otherwise than anything
+//! that stands still behind a window. So two models compete for each pixel. One is opaque at the
+//! surface, with a color that all photographs share; the other is the field. Their squared errors
+//! are summed over all rays that pass a vertex before they are stopped, and over all vertices of a
+//! connected space. A deep hollow leaves the field 1 to 3 % of the error of its lid; reflections in
+//! paint or metal leave 10 to 25 %. Between them is the excess of a hull beside a glossy surface:
+//! there the field is dense too deep, and would eat into the object.
 
 use super::radiance_field::{FieldRay, FieldRays, RadianceField, depth, march};
 use crate::shape::{cube, flood, neighbors, size};
@@ -15,14 +18,15 @@ use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::sdf::SdfGrid;
 use rayon::prelude::*;
 
-/// Before the depth at which half of the light is stopped, and behind it, space counts as that where a ray is stopped, in cells.
+/// Before the depth at which half of the light is stopped, and behind it, space counts as that
+/// where a ray is stopped, in cells.
 const MARGIN: f32 = 0.75;
 /// Length of a step along a ray, in cells.
 const STEP: f32 = 0.5;
 /// Rays that must pass the 27 vertices around one.
 const LEAST_RAYS: f32 = 20.0;
-/// Share of the surface's error that the field may leave around each vertex of a connected space, and in the space as a whole, for that
-/// to be empty.
+/// Share of the surface's error that the field may leave around each vertex of a connected space,
+/// and in the space as a whole, for that to be empty.
 const VERTEX_SHARE: f32 = 0.2;
 const SPACE_SHARE: f32 = 0.032;
 /// Least distance of the emptiness from zero.
@@ -37,7 +41,8 @@ const PARTS: usize = 8;
 /// Rays that are marched one after another.
 const CHUNK: usize = 4096;
 
-/// How empty each vertex of a grid is, in (−1, 1), positive where photographs look through it. The field has been fitted to the rays.
+/// How empty each vertex of a grid is, in (−1, 1), positive where photographs look through it. The
+/// field has been fitted to the rays.
 pub(super) fn emptiness(grid: &SdfGrid, field: &RadianceField, rays: &FieldRays) -> Vec<f32> {
     let by_surface = surface_errors(field, rays);
     let by_field = field_errors(field, rays);
@@ -65,7 +70,8 @@ pub(super) fn emptiness(grid: &SdfGrid, field: &RadianceField, rays: &FieldRays)
     (0..grid.values.len()).into_par_iter().map(of_vertex).collect()
 }
 
-/// Squared error of each ray if the surface is opaque: its colors are those of a trilinear lattice that explain all rays best.
+/// Squared error of each ray if the surface is opaque: its colors are those of a trilinear lattice
+/// that explain all rays best.
 fn surface_errors(field: &RadianceField, rays: &FieldRays) -> Vec<f32> {
     let mut colors = vec![Vec3::ZERO; field.values.len()];
     let missing = |colors: &[Vec3], ray: &FieldRay| {
@@ -88,11 +94,12 @@ fn surface_errors(field: &RadianceField, rays: &FieldRays) -> Vec<f32> {
     rays.rays.par_iter().map(|ray| missing(&colors, ray).2.length_squared()).collect()
 }
 
-/// Sums over rays at a vertex: rays that pass, rays that are stopped, and the squared errors of those that pass, if the surface is opaque
-/// and with the field.
+/// Sums over rays at a vertex: rays that pass, rays that are stopped, and the squared errors of
+/// those that pass, if the surface is opaque and with the field.
 type Evidence = Vec4;
 
-/// Squared error of each ray with the field, and the depth at which it is stopped, infinite if it is not.
+/// Squared error of each ray with the field, and the depth at which it is stopped, infinite if it
+/// is not.
 fn field_errors(field: &RadianceField, rays: &FieldRays) -> Vec<[f32; 2]> {
     let of_chunk = |chunk: &[FieldRay]| {
         let mut samples = Vec::new();
@@ -106,7 +113,8 @@ fn field_errors(field: &RadianceField, rays: &FieldRays) -> Vec<[f32; 2]> {
     rays.rays.par_chunks(CHUNK).flat_map_iter(of_chunk).collect()
 }
 
-/// The evidence at the vertex of each row; `by_surface` are the errors of the rays if the surface is opaque, `by_field` those with the field, and depths.
+/// The evidence at the vertex of each row; `by_surface` are the errors of the rays if the surface
+/// is opaque, `by_field` those with the field, and depths.
 fn evidence(
     field: &RadianceField,
     rays: &FieldRays,
@@ -130,7 +138,8 @@ fn evidence(
     })
 }
 
-/// Sums over rays for each row, in parts whose order is always the same. `add` gets a part's sums, the index of a ray and the ray.
+/// Sums over rays for each row, in parts whose order is always the same. `add` gets a part's sums,
+/// the index of a ray and the ray.
 fn summed(rays: &[FieldRay], rows: usize, add: impl Fn(&mut [Vec4], usize, &FieldRay) + Sync) -> Vec<Vec4> {
     let length = rays.len().div_ceil(PARTS).max(1);
     let part = |(part, rays): (usize, &[FieldRay])| {
@@ -144,8 +153,8 @@ fn summed(rays: &[FieldRay], rows: usize, add: impl Fn(&mut [Vec4], usize, &Fiel
     (0..rows).into_par_iter().map(|row| parts.iter().map(|part| part[row]).sum()).collect()
 }
 
-/// Which rows are in connected spaces that the field explains far better, as a whole, than an opaque surface does. `smooth` is the
-/// evidence around each row.
+/// Which rows are in connected spaces that the field explains far better, as a whole, than an
+/// opaque surface does. `smooth` is the evidence around each row.
 fn accepted(grid: &SdfGrid, field: &RadianceField, evidence: &[Evidence], smooth: &[Evidence]) -> Vec<bool> {
     let is_candidate = |row: usize| {
         let [passed, stopped, by_surface, by_field] = smooth[row].to_array();

@@ -1,19 +1,24 @@
 //! Hollows that no silhouette shows: removes from the hull what photographs look through.
 //!
-//! The hull closes a cup with a lid. What is seen through the lid moves against it from view to view, so that photographs disagree on the lid's
-//! color, and agree far behind it. Each view is compared with those around it ([`mod@compare`]) at all depths from the surface to the far side.
-//! Where they agree much better at one of these than at the surface, the space in front of it is empty. All views vote, and what enough of them
-//! see through is removed; the next round knows better what hides what. A deep hollow has places that no two photographs around share, or whose
-//! colors change slowly. So all photographs together are asked first: a field of densities and colors ([`radiance_field`]) is fitted to them by
-//! volume rendering, and a space is empty where that explains them far better than the surface does ([`evidence`]). The hull is coarse: what its
+//! The hull closes a cup with a lid. What is seen through the lid moves against it from view to
+//! view, so that photographs disagree on the lid's color, and agree far behind it. Each view is
+//! compared with those around it ([`mod@compare`]) at all depths from the surface to the far side.
+//! Where they agree much better at one of these than at the surface, the space in front of it is
+//! empty. All views vote, and what enough of them see through is removed; the next round knows
+//! better what hides what. A deep hollow has places that no two photographs around share, or whose
+//! colors change slowly. So all photographs together are asked first: a field of densities and
+//! colors ([`radiance_field`]) is fitted to them by volume rendering, and a space is empty where
+//! that explains them far better than the surface does ([`evidence`]). The hull is coarse: what its
 //! cells do not resolve is looked for once more on the finer grid of the second level.
 //!
-//! Only space that is open to the outside is removed: a reflection that seems to lie far behind a glossy surface leaves no bubble inside
-//! the object. Spaces that reflections have opened all the same are filled again. A margin before the depth that was found stays: the
-//! walls of a hollow may be thin, and a fit moves a surface that is nearly in place.
+//! Only space that is open to the outside is removed: a reflection that seems to lie far behind a
+//! glossy surface leaves no bubble inside the object. Spaces that reflections have opened all the
+//! same are filled again. A margin before the depth that was found stays: the walls of a hollow may
+//! be thin, and a fit moves a surface that is nearly in place.
 //!
-//! Sources: photo-consistency of color (Kutulakos and Seitz, "A Theory of Shape by Space Carving", IJCV 2000); votes for empty space
-//! (Merrell et al., "Real-Time Visibility-Based Fusion of Depth Maps", ICCV 2007).
+//! Sources: photo-consistency of color (Kutulakos and Seitz, "A Theory of Shape by Space Carving",
+//! IJCV 2000); votes for empty space (Merrell et al., "Real-Time Visibility-Based Fusion of Depth
+//! Maps", ICCV 2007).
 
 mod compare;
 mod evidence;
@@ -35,25 +40,28 @@ use rayon::prelude::*;
 const PIXELS_PER_CELL: f32 = 1.5;
 /// Most photographs that a field is fitted to; of more, some are, evenly chosen.
 const MOST_VIEWS: usize = 100;
-/// Share of the object's volume that a round must remove for another one, where the search begins. Rounds on a finer grid take
-/// several times as long.
+/// Share of the object's volume that a round must remove for another one, where the search begins.
+/// Rounds on a finer grid take several times as long.
 pub(super) const HULL_SHARE: f32 = 1e-3;
 /// Share of the volume for another round on the grid of a later level.
 pub(super) const LEVEL_SHARE: f32 = 1e-2;
 const ROUNDS: usize = 3;
-/// Votes from which space is empty, and the weight of a view that sees a surface there against one that sees through it. Reflections on
-/// a glossy object make a few views see too deep, each somewhere else.
+/// Votes from which space is empty, and the weight of a view that sees a surface there against one
+/// that sees through it. Reflections on a glossy object make a few views see too deep, each
+/// somewhere else.
 const ENOUGH: f32 = 2.0;
 const AGAINST: f32 = 1.5;
 /// Margin that stays before the depth that was found, in cells and in pixels of a view around.
 const MARGIN: (f32, f32) = (0.75, 0.5);
-/// Share of the pattern on the floor of a hollow, on average, below which it was opened by reflections.
+/// Share of the pattern on the floor of a hollow, on average, below which it was opened by
+/// reflections.
 const LEAST_PATTERN: f32 = 0.475;
 /// Stands for grid vertices that were not opened.
 const NONE: u32 = u32::MAX;
 
-/// Removes the space that the photographs look through; returns the share of the volume that goes. Another round follows one that
-/// removes at least `least_share` of it. A run that is stopping ([`is_stopping`]) removes nothing more.
+/// Removes the space that the photographs look through; returns the share of the volume that goes.
+/// Another round follows one that removes at least `least_share` of it. A run that is stopping
+/// ([`is_stopping`]) removes nothing more.
 pub(super) fn carve_hollows(
     grid: &mut SdfGrid,
     silhouettes: &[Silhouette],
@@ -89,8 +97,9 @@ pub(super) fn carve_hollows(
     1.0 - volume(grid) as f32 / whole.max(1) as f32
 }
 
-/// Removes the space inside a hull that a field of densities explains as empty; returns the share of the volume that goes, and what
-/// distances are at least from now on ([`keep_empty`]), if any. A run that is stopping ([`is_stopping`]) removes nothing.
+/// Removes the space inside a hull that a field of densities explains as empty; returns the share
+/// of the volume that goes, and what distances are at least from now on ([`keep_empty`]), if any. A
+/// run that is stopping ([`is_stopping`]) removes nothing.
 pub(super) fn look_through(
     grid: &mut SdfGrid,
     silhouettes: &[Silhouette],
@@ -120,8 +129,8 @@ pub(super) fn look_through(
     (1.0 - volume(grid) as f32 / whole.max(1) as f32, Some(least))
 }
 
-/// Empties again what is known to be empty: a grid too coarse for the wall of a hollow has gaps in it, which the masks
-/// contradict, and what is restored there may be a lid.
+/// Empties again what is known to be empty: a grid too coarse for the wall of a hollow has gaps in
+/// it, which the masks contradict, and what is restored there may be a lid.
 pub(super) fn keep_empty(grid: &mut SdfGrid, empty: &SdfGrid) {
     let kept = |row: usize| grid.values[row].max(empty.value(grid.position(grid.vertex(row))));
     grid.values = (0..grid.values.len()).into_par_iter().map(kept).collect();
@@ -137,7 +146,8 @@ fn factor(grid: &SdfGrid, views: &[TrainingView]) -> u32 {
     picture_factor(views, middle, grid.spacing, PIXELS_PER_CELL).unwrap_or(1)
 }
 
-/// Removes what enough pictures look through; `depths` are those that their pixels show, 0 where that is not known.
+/// Removes what enough pictures look through; `depths` are those that their pixels show, 0 where
+/// that is not known.
 fn remove(grid: &mut SdfGrid, pictures: &[ColorPicture], depths: &[Vec<f32>]) {
     let rows = || (0..grid.values.len()).into_par_iter();
     // How many pictures look through a vertex, less those that show a surface there.
@@ -160,7 +170,8 @@ fn remove(grid: &mut SdfGrid, pictures: &[ColorPicture], depths: &[Vec<f32>]) {
         pictures.iter().zip(depths).map(vote).sum()
     };
     let votes: Vec<f32> = rows().map(votes_at).collect();
-    // The mean of the votes around a vertex, with weights 4, 2, 1 and ½ for itself and its neighbors across faces, edges and corners.
+    // The mean of the votes around a vertex, with weights 4, 2, 1 and ½ for itself and its
+    // neighbors across faces, edges and corners.
     let spread = |row: usize| {
         if is_border(grid, row) {
             return votes[row];
@@ -177,8 +188,8 @@ fn remove(grid: &mut SdfGrid, pictures: &[ColorPicture], depths: &[Vec<f32>]) {
     carve(grid, &empty);
 }
 
-/// Removes what is `empty`, in cells, and open to the outside: reached from the border of the grid through what is not the object, or is
-/// empty. Restores distances.
+/// Removes what is `empty`, in cells, and open to the outside: reached from the border of the grid
+/// through what is not the object, or is empty. Restores distances.
 fn carve(grid: &mut SdfGrid, empty: &[f32]) {
     let rows = 0..empty.len();
     let mut open: Vec<bool> = rows.clone().map(|row| grid.values[row] > 0.0 || empty[row] > 0.0).collect();
@@ -194,11 +205,14 @@ fn carve(grid: &mut SdfGrid, empty: &[f32]) {
     grid.redistance();
 }
 
-/// Fills the spaces of `grid` that were opened since it was `closed`, and whose floors show no pattern.
+/// Fills the spaces of `grid` that were opened since it was `closed`, and whose floors show no
+/// pattern.
 ///
-/// Reflections in metal or glaze seem to lie behind the surface, as the floor of a hollow does. But the floor of a hollow is a surface
-/// with a pattern, on which all photographs agree once it is laid open; on the floor of a space that a reflection has opened they agree
-/// no better than before ([`pattern_shares`]). Each connected space is judged as a whole by the surface that borders on it.
+/// Reflections in metal or glaze seem to lie behind the surface, as the floor of a hollow does. But
+/// the floor of a hollow is a surface with a pattern, on which all photographs agree once it is
+/// laid open; on the floor of a space that a reflection has opened they agree no better than before
+/// ([`pattern_shares`]). Each connected space is judged as a whole by the surface that borders on
+/// it.
 fn fill_reflections(grid: &mut SdfGrid, closed: &SdfGrid, views: &[Silhouette], pictures: &[MatchPicture]) {
     let mesh = extract_parts(grid, views);
     let shell = Shell::new(&mesh);
@@ -228,7 +242,8 @@ fn fill_reflections(grid: &mut SdfGrid, closed: &SdfGrid, views: &[Silhouette], 
     grid.redistance();
 }
 
-/// For each vertex of the grid the number of the opened space that it is in, and how many spaces there are. Vertices hang together along edges.
+/// For each vertex of the grid the number of the opened space that it is in, and how many spaces
+/// there are. Vertices hang together along edges.
 fn opened_spaces(grid: &SdfGrid, closed: &SdfGrid) -> (Vec<u32>, usize) {
     let pairs = grid.values.iter().zip(&closed.values);
     let mut open: Vec<bool> = pairs.map(|(now, before)| *now >= 0.0 && *before < 0.0).collect();

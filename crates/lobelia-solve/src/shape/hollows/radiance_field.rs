@@ -1,15 +1,19 @@
-//! A radiance field inside the hull: densities and colors at the vertices of a grid, and their fit by volume rendering.
+//! A radiance field inside the hull: densities and colors at the vertices of a grid, and their fit
+//! by volume rendering.
 //!
-//! A surface that is fitted cannot leap over the space between a lid and the floor below it. A field of densities can: it begins nearly
-//! transparent, so that each photograph colors all that lies along its rays, and what many rays agree on becomes dense. Colors do not
-//! depend on the direction of view: that would explain a lid as well as what is seen through it.
+//! A surface that is fitted cannot leap over the space between a lid and the floor below it. A
+//! field of densities can: it begins nearly transparent, so that each photograph colors all that
+//! lies along its rays, and what many rays agree on becomes dense. Colors do not depend on the
+//! direction of view: that would explain a lid as well as what is seen through it.
 //!
-//! With the density of a sample σ = softplus(s) per cell and the step Δ in cells, its opacity is α = 1 − exp(−σΔ), what reaches it
-//! T = Π (1 − α) over the samples before it, and the color of the ray Σ T α c.
+//! With the density of a sample σ = softplus(s) per cell and the step Δ in cells, its opacity is α
+//! = 1 − exp(−σΔ), what reaches it T = Π (1 − α) over the samples before it, and the color of the
+//! ray Σ T α c.
 //!
-//! Sources: Max, "Optical Models for Direct Volume Rendering", TVCG 1995; direct optimization of a grid of densities and colors from
-//! coarse to fine (Sun, Sun and Chen, "Direct Voxel Grid Optimization", CVPR 2022); smoothness by total variation (Fridovich-Keil et
-//! al., "Plenoxels", CVPR 2022); Adam (Kingma and Ba, ICLR 2015).
+//! Sources: Max, "Optical Models for Direct Volume Rendering", TVCG 1995; direct optimization of a
+//! grid of densities and colors from coarse to fine (Sun, Sun and Chen, "Direct Voxel Grid
+//! Optimization", CVPR 2022); smoothness by total variation (Fridovich-Keil et al., "Plenoxels",
+//! CVPR 2022); Adam (Kingma and Ba, ICLR 2015).
 
 use crate::shape::{neighbors, pictures::ColorPicture, size};
 use glam::Vec4Swizzles;
@@ -38,13 +42,15 @@ const FAINT: f32 = 1e-5;
 /// Steps on the grid of half as many cells, and on the grid itself.
 const STEPS: [u32; 2] = [600, 400];
 const RAYS: usize = 6144;
-/// Adam: largest step of color and density, what is left of it at the end, decay of both moments, smallest divisor.
+/// Adam: largest step of color and density, what is left of it at the end, decay of both moments,
+/// smallest divisor.
 const COLOR_RATE: f32 = 0.05;
 const DENSITY_RATE: f32 = 0.4;
 const LAST_RATE: f32 = 0.1;
 const DECAY: (f32, f32) = (0.9, 0.99);
 const SMALLEST: f32 = 1e-12;
-/// Weight of the total variation of densities, and of the square of what passes through the whole object.
+/// Weight of the total variation of densities, and of the square of what passes through the whole
+/// object.
 const VARIATION: f32 = 1e-3;
 const LEAK: f32 = 0.1;
 /// Most parts of a step that are summed apart.
@@ -61,7 +67,8 @@ pub(super) struct RadianceField {
     holds: Vec<bool>,
     /// The vertex of each row; that of row 0 is meaningless.
     pub vertices: Vec<u32>,
-    /// Color with the curve of sRGB, and density per cell before the softplus. Row 0 stands for all that is outside.
+    /// Color with the curve of sRGB, and density per cell before the softplus. Row 0 stands for all
+    /// that is outside.
     pub values: Vec<Vec4>,
 }
 
@@ -89,7 +96,8 @@ impl FieldRays<'_> {
     }
 }
 
-/// How far the indices of a cell's vertices are from that of its first, in a grid of `side` vertices along each axis.
+/// How far the indices of a cell's vertices are from that of its first, in a grid of `side`
+/// vertices along each axis.
 #[inline]
 fn corners(side: usize) -> [usize; 8] {
     let (back, both) = (side * side, side + side * side);
@@ -145,7 +153,8 @@ impl RadianceField {
         self.corners_of(first, t)
     }
 
-    /// Returns the rows and weights of the vertices around a point; `None` if all of them are outside.
+    /// Returns the rows and weights of the vertices around a point; `None` if all of them are
+    /// outside.
     #[inline]
     pub fn corners_inside(&self, point: Vec3) -> Option<([u32; 8], [f32; 8])> {
         let (first, t) = self.cell(point);
@@ -197,8 +206,9 @@ pub(super) struct FieldSample {
     distance: f32,
 }
 
-/// Renders a ray whose surface is `surface` world units away: its color and what passes through the whole object. `jitter` in [0, 1) is the
-/// share of a step by which samples are shifted. Leaves the samples in `samples`.
+/// Renders a ray whose surface is `surface` world units away: its color and what passes through the
+/// whole object. `jitter` in [0, 1) is the share of a step by which samples are shifted. Leaves the
+/// samples in `samples`.
 pub(super) fn march(
     field: &RadianceField,
     ray: &Ray,
@@ -236,7 +246,8 @@ fn sample_at(field: &RadianceField, ray: &Ray, distance: f32, transmittance: f32
     Some(FieldSample { rows, weights, value, opacity, slope, transmittance, distance })
 }
 
-/// Adds the gradient of the field's values to `gradient`, from those of a ray's color and of what passes through.
+/// Adds the gradient of the field's values to `gradient`, from those of a ray's color and of what
+/// passes through.
 fn pull_back(samples: &[FieldSample], color: Vec3, passing: f32, gradient: &mut [Vec4]) {
     let last = samples.last().map_or(1.0, |s| s.transmittance * (1.0 - s.opacity));
     let mut behind = passing * last;
@@ -259,7 +270,8 @@ pub(super) fn depth(samples: &[FieldSample]) -> Option<f32> {
     samples.iter().find(stopped).map(|sample| sample.distance)
 }
 
-/// The softplus and its derivative. Without the exact logarithm near 1, which takes twice as long: densities are not as small.
+/// The softplus and its derivative. Without the exact logarithm near 1, which takes twice as long:
+/// densities are not as small.
 fn softplus(x: f32) -> (f32, f32) {
     if x > 15.0 {
         return (x, 1.0);
@@ -268,7 +280,8 @@ fn softplus(x: f32) -> (f32, f32) {
     ((1.0 + power).ln(), power / (1.0 + power))
 }
 
-/// Fits a field within a surface to what rays show, first on half as many cells. Nearly transparent where no ray passes.
+/// Fits a field within a surface to what rays show, first on half as many cells. Nearly transparent
+/// where no ray passes.
 pub(super) fn fit(grid: &SdfGrid, rays: &FieldRays) -> RadianceField {
     let mean = rays.rays.iter().map(|ray| rays.of(ray).1).sum::<Vec3>() / rays.rays.len().max(1) as f32;
     let mut random = SmallRng::seed_from_u64(0);
@@ -302,7 +315,8 @@ fn optimize(field: &mut RadianceField, all: &FieldRays, steps: u32, random: &mut
             gradient.fill(Vec4::ZERO);
             let mut samples = Vec::new();
             for (ray, jitter) in picks {
-                // The loss is the squared difference of colors, and the square of what passes through the whole object.
+                // The loss is the squared difference of colors, and the square of what passes
+                // through the whole object.
                 let (line, shown) = all.of(&rays[*ray]);
                 let (color, passing) = march(field, &line, rays[*ray].surface, *jitter, &mut samples);
                 let scale = 1.0 / RAYS as f32;

@@ -152,7 +152,8 @@ fn space_without_a_way_out_stays_full() {
     assert!(middle_after(&bottle) > 0.0, "a bottle");
 }
 
-/// Whether the inside of an open cup is still empty after the photographs were asked whether it is one.
+/// Whether the inside of an open cup is still empty after the photographs were asked whether it is
+/// one.
 fn stays_open(pictures: &Pictures) -> bool {
     let of = |field: fn(Vec3) -> f32| SdfGrid::from_fn(Vec3::ZERO, 0.8, 40, field);
     let (mut grid, closed) = (of(cup), of(full));

@@ -1,26 +1,32 @@
 //! Normals from what the surface mirrors.
 //!
-//! Stereo and silhouettes give positions, and a normal from positions is good to a few degrees: too little for polished metal or glaze, which
-//! mirrors a lamp at a place or does not. The photographs know better: a place of which some views show a highlight faces halfway
-//! between the lamp and these cameras. So every vertex gets a normal of its own, which may differ from that of its triangles.
+//! Stereo and silhouettes give positions, and a normal from positions is good to a few degrees: too
+//! little for polished metal or glaze, which mirrors a lamp at a place or does not. The photographs
+//! know better: a place of which some views show a highlight faces halfway between the lamp and
+//! these cameras. So every vertex gets a normal of its own, which may differ from that of its
+//! triangles.
 //!
-//! The model is much freer than that of a fit, so that nothing has to be right before the normals are. With the normal n and the direction
-//! to the camera v, both in the frame in which the light stands still, a vertex has the radiance
+//! The model is much freer than that of a fit, so that nothing has to be right before the normals
+//! are. With the normal n and the direction to the camera v, both in the frame in which the light
+//! stands still, a vertex has the radiance
 //!
 //! ```math
 //! L_o = a\, E(n) + s\, M(2 (n \cdot v)\, n - v)
 //! ```
 //!
-//! with two colors a and s of the vertex and two tables for the whole object: the irradiance E by normal, and the mirrored radiance M by
-//! direction, as blurred as the gloss and the normals leave it. In turn, the tables are solved for with all normals given, and each vertex tries
-//! many normals: the colors follow in closed form for each. The best is taken, and then drawn toward its neighbors.
+//! with two colors a and s of the vertex and two tables for the whole object: the irradiance E by
+//! normal, and the mirrored radiance M by direction, as blurred as the gloss and the normals leave
+//! it. In turn, the tables are solved for with all normals given, and each vertex tries many
+//! normals: the colors follow in closed form for each. The best is taken, and then drawn toward its
+//! neighbors.
 //!
-//! Some views are kept aside. The normals are used only if they show what those views show clearly better than the normals of the mesh
-//! do with tables and colors of their own.
+//! Some views are kept aside. The normals are used only if they show what those views show clearly
+//! better than the normals of the mesh do with tables and colors of their own.
 //!
-//! Sources: the separation of a shading into a diffuse and a mirrored part over normals and reflected directions is that of preintegrated image-based lighting
-//! (Ramamoorthi and Hanrahan, "Frequency Space Environment Map Rendering", 2002); normals by matching many views of highlights are shape from
-//! specularity (Healey and Binford 1988), here by exhaustive search.
+//! Sources: the separation of a shading into a diffuse and a mirrored part over normals and
+//! reflected directions is that of preintegrated image-based lighting (Ramamoorthi and Hanrahan,
+//! "Frequency Space Environment Map Rendering", 2002); normals by matching many views of highlights
+//! are shape from specularity (Healey and Binford 1988), here by exhaustive search.
 
 use crate::shape::pictures::TrainingView;
 use crate::shape::shell::{Shell, VertexGraph};
@@ -36,7 +42,8 @@ use rayon::prelude::*;
 use std::f32::consts::TAU;
 use std::ops::ControlFlow;
 
-/// Angles around a normal that are tried, in degrees, and rings of directions within them: first around the mesh's, then around the best.
+/// Angles around a normal that are tried, in degrees, and rings of directions within them: first
+/// around the mesh's, then around the best.
 const ROUNDS: [(f32, usize); 4] = [(25.0, 5), (8.0, 2), (6.0, 2), (4.0, 2)];
 /// Largest angle between a normal and the mesh's, degrees.
 const MOST_DEGREES: f32 = 26.0;
@@ -45,7 +52,8 @@ const DRAWN: f32 = 0.3;
 /// Sharpness of the kernels by which irradiance and mirrored radiance are smoothed.
 const SMOOTH_IRRADIANCE: f32 = 8.0;
 const SMOOTH_MIRRORED: f32 = 60.0;
-/// Weight of the smooth table beside the sums of a cell, relative to the median of the cells that are seen.
+/// Weight of the smooth table beside the sums of a cell, relative to the median of the cells that
+/// are seen.
 const SMOOTH_SHARE: f32 = 0.05;
 /// Cells a side of a table.
 const SIDE: usize = 48;
@@ -56,12 +64,14 @@ const WIDE_SHARE: f32 = 1e-3;
 const TURNS: usize = 3;
 /// One view in so many is kept aside.
 const ASIDE_EVERY: u32 = 5;
-/// Squared error of the views kept aside, relative to that with the normals of the mesh, from which on the normals are used.
+/// Squared error of the views kept aside, relative to that with the normals of the mesh, from which
+/// on the normals are used.
 const BETTER: f64 = 0.85;
 /// Views that must show a vertex for a normal of its own.
 const LEAST_SIGHTS: usize = 6;
-/// Part of the squared radiance of the views kept aside that the normals of the mesh must leave unexplained: 22 % on polished metal, 1 to 5 % on
-/// glossy paint, satin and matte clay, where the mesh's normals are the better ones.
+/// Part of the squared radiance of the views kept aside that the normals of the mesh must leave
+/// unexplained: 22 % on polished metal, 1 to 5 % on glossy paint, satin and matte clay, where the
+/// mesh's normals are the better ones.
 const UNEXPLAINED: f64 = 0.1;
 /// Vertices a chunk, whose sums are added in order: the same bits with any number of threads.
 const CHUNK: usize = 2048;
@@ -73,34 +83,38 @@ const LEAST_COSINE: f32 = 0.25;
 const COVERED: f32 = 0.99;
 /// Start of the ray to a view above the surface, in mean edges.
 const LIFT: f32 = 0.3;
-/// Radiance, relative to the median, that is added to that of a sight for its weight: noise of dark pixels counts less than that of bright ones,
-/// relative to their value more.
+/// Radiance, relative to the median, that is added to that of a sight for its weight: noise of dark
+/// pixels counts less than that of bright ones, relative to their value more.
 const FLOOR: f32 = 0.5;
 /// Views whose sights are found at once.
 const AT_A_TIME: usize = 32;
 /// Least cosine between a normal and the direction to a view that sees the vertex.
 const FACING_COSINE: f32 = 0.05;
-/// Penalty on a normal far from the mesh's: part of the squared radiance, for an angle of one radian.
+/// Penalty on a normal far from the mesh's: part of the squared radiance, for an angle of one
+/// radian.
 const FAR: f32 = 0.5;
 /// Added to the determinant of a vertex's equations, relative to the product of its diagonal.
 const DAMPING: f32 = 1e-3;
-/// Part of the mean square of the mirrored radiance that a vertex is taken to have seen besides: else the mirrored color of one that mirrors
-/// only dark parts of the light could be any.
+/// Part of the mean square of the mirrored radiance that a vertex is taken to have seen besides:
+/// else the mirrored color of one that mirrors only dark parts of the light could be any.
 const MIRRORED_FLOOR: f32 = 0.02;
 
 /// Result of a refinement of normals.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NormalReport {
-    /// Squared error of the views kept aside relative to that with the normals of the mesh; `None` if nothing was tried.
+    /// Squared error of the views kept aside relative to that with the normals of the mesh; `None`
+    /// if nothing was tried.
     pub error: Option<f32>,
-    /// Part of the squared radiance of the views kept aside that the model leaves unexplained with the normals of the mesh.
+    /// Part of the squared radiance of the views kept aside that the model leaves unexplained with
+    /// the normals of the mesh.
     pub unexplained: f32,
     /// Median angle by which normals changed, degrees; 0 if they stay.
     pub turned_degrees: f32,
 }
 
-/// Gives the vertices of `mesh` normals that explain what `views` show, if the mesh's leave much unexplained in views kept aside, and the others
-/// clearly less. The light stands still in `frame`. `go_on` is asked before each round, with its number of `rounds()`.
+/// Gives the vertices of `mesh` normals that explain what `views` show, if the mesh's leave much
+/// unexplained in views kept aside, and the others clearly less. The light stands still in `frame`.
+/// `go_on` is asked before each round, with its number of `rounds()`.
 pub(crate) fn refine_normals(
     mesh: &mut Mesh,
     views: &[TrainingView],
@@ -243,7 +257,8 @@ impl<'a> Model<'a> {
         all
     }
 
-    /// The sums of vertex `i` with this world normal for its colors; `None` if a view would see it from behind, or none sees it.
+    /// The sums of vertex `i` with this world normal for its colors; `None` if a view would see it
+    /// from behind, or none sees it.
     fn moments(&self, i: usize, normal: Vec3) -> Option<ProductSums> {
         let mut sums = ProductSums::default();
         let mut weight = 0.0;
@@ -324,7 +339,8 @@ impl VertexSight {
         self.light_from_world * world
     }
 
-    /// The direction that a surface with this world normal mirrors to the view, in the light's frame.
+    /// The direction that a surface with this world normal mirrors to the view, in the light's
+    /// frame.
     #[inline]
     fn mirrored(&self, normal: Vec3) -> Vec3 {
         let normal = self.in_light(normal);
@@ -373,7 +389,8 @@ fn sights(
     all
 }
 
-/// The world direction to a view, and the radiance that it shows at a point with this normal; `None` if it does not see it.
+/// The world direction to a view, and the radiance that it shows at a point with this normal;
+/// `None` if it does not see it.
 fn shown_by(view: &TrainingView, bvh: &TriangleBvh, at: Vec3, normal: Vec3, lift: f32) -> Option<[Vec3; 2]> {
     let offset = view.camera.position() - at;
     let (distance, to_view) = (offset.length(), offset.normalize_or_zero());
@@ -402,7 +419,8 @@ struct VertexColors {
     mirrored: Vec3,
 }
 
-/// Weighted sums over the sights of a vertex, by channel: products of irradiance E, mirrored radiance M and radiance L.
+/// Weighted sums over the sights of a vertex, by channel: products of irradiance E, mirrored
+/// radiance M and radiance L.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct ProductSums {
     ee: Vec3,
@@ -462,8 +480,9 @@ fn around(axis: Vec3, most: f32, rings: usize) -> impl Iterator<Item = Vec3> {
     std::iter::once(axis).chain((1..=rings).flat_map(ring))
 }
 
-/// A function of directions as a table over the sphere: RGB values by direction, and the mean of their squares. Cells are those of a square
-/// grid over octahedral coordinates (Cigolle et al., "A Survey of Efficient Representations for Independent Unit Vectors", 2014).
+/// A function of directions as a table over the sphere: RGB values by direction, and the mean of
+/// their squares. Cells are those of a square grid over octahedral coordinates (Cigolle et al., "A
+/// Survey of Efficient Representations for Independent Unit Vectors", 2014).
 #[derive(Clone, Debug, PartialEq)]
 struct DirectionTable {
     cells: Vec<Vec3>,
@@ -480,8 +499,9 @@ impl DirectionTable {
         Self { cells, mean_square }
     }
 
-    /// The table ≥ 0 with least squared error, where it is smoothed by a spherical Gaussian of this sharpness. With `share`, a cell has also a
-    /// value of its own: the smooth one counts beside its sums with this weight, relative to the median of the cells that are seen.
+    /// The table ≥ 0 with least squared error, where it is smoothed by a spherical Gaussian of this
+    /// sharpness. With `share`, a cell has also a value of its own: the smooth one counts beside
+    /// its sums with this weight, relative to the median of the cells that are seen.
     fn of_sums(sums: &[CellSums], sharpness: f32, share: Option<f32>) -> Self {
         let middles: Vec<Vec3> = (0..SIDE * SIDE).map(middle).collect();
         let smooth = |i: usize| {

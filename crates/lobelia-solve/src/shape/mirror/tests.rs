@@ -35,7 +35,8 @@ fn photographed(normal: fn(Vec3) -> Vec3, gloss: f32, frame: LightFrame) -> Pict
     })
 }
 
-/// Refines the normals of a ball; returns the report, and mean angles to `truth` before and after, in degrees.
+/// Refines the normals of a ball; returns the report, and mean angles to `truth` before and after,
+/// in degrees.
 fn refined(normal: fn(Vec3) -> Vec3, gloss: f32, frame: LightFrame) -> (NormalReport, [f32; 2]) {
     let shot = photographed(normal, gloss, frame);
     let views = shot.views();

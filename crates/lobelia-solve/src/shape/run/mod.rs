@@ -1,5 +1,6 @@
-//! Fit of a shape: starts from the visual hull and runs one fit per level, on finer and finer grids. Then the surface that was found is
-//! brought closer to the photographs: by masks, neighbors and reflections.
+//! Fit of a shape: starts from the visual hull and runs one fit per level, on finer and finer
+//! grids. Then the surface that was found is brought closer to the photographs: by masks, neighbors
+//! and reflections.
 
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
@@ -55,7 +56,8 @@ pub struct ShapeLevel {
     pub cells: u32,
     /// Cells per side of the lattice of texels.
     pub texel_cells: u32,
-    /// Width of a cell in a typical photograph, in pixels, below which the fit ends with the level before; the first is always fitted.
+    /// Width of a cell in a typical photograph, in pixels, below which the fit ends with the level
+    /// before; the first is always fitted.
     pub least_pixels: f32,
     /// Schedule of the optimization.
     pub schedule: ShapeSchedule,
@@ -99,7 +101,8 @@ impl Plugin for ShapePlugin {
     }
 }
 
-/// Shares of the volume that were removed from the visual hull before the fit, and from the surface that the first level has found.
+/// Shares of the volume that were removed from the visual hull before the fit, and from the surface
+/// that the first level has found.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HullReport {
     /// Share that photographs look through.
@@ -143,8 +146,9 @@ pub fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
     views.par_iter().filter(|_| !is_stopping()).filter_map(TrainingView::silhouette).collect()
 }
 
-/// Fits shape, light and material. `watch` is called after every step, with the current [`SdfField`] in the
-/// world. The texels of the finest lattice stay in the world, with the [`ModelError`] of the last level.
+/// Fits shape, light and material. `watch` is called after every step, with the current
+/// [`SdfField`] in the world. The texels of the finest lattice stay in the world, with the
+/// [`ModelError`] of the last level.
 ///
 /// # Errors
 /// If the masks have no hull, or a fit fails.
@@ -190,7 +194,8 @@ pub fn fit_shape(
     found
 }
 
-/// Fits one level after the other, until `watch` stops it. The first begins with the hull, and what is known to be empty.
+/// Fits one level after the other, until `watch` stops it. The first begins with the hull, and what
+/// is known to be empty.
 fn fit_levels(
     pipeline: &mut Pipeline,
     hull: (SdfGrid, Option<SdfGrid>),
@@ -245,7 +250,8 @@ fn fit_levels(
     Ok(surface)
 }
 
-/// The name of a level in a checkpoint: its number, what it starts from, and after the last one the [`ModelError`].
+/// The name of a level in a checkpoint: its number, what it starts from, and after the last one the
+/// [`ModelError`].
 const LEVEL: &str = "level";
 
 /// Keeps what level `index` starts from.
@@ -258,7 +264,8 @@ fn keep_level(world: &mut World, index: usize, surface: &SdfSurface, error: Opti
     keep_part(world, &saved)
 }
 
-/// The level that a fit begins with, and what it starts from: the first and the hull, with gray texels, or what a run that is resumed has kept.
+/// The level that a fit begins with, and what it starts from: the first and the hull, with gray
+/// texels, or what a run that is resumed has kept.
 fn begin_levels(
     world: &mut World,
     (mut hull, empty): (SdfGrid, Option<SdfGrid>),
@@ -282,9 +289,10 @@ fn begin_levels(
     Ok((index as usize, surface))
 }
 
-/// The start of level `index`, the surface that the level before has found, on its own grid and with its own texels, and the share of the
-/// hollows that it opens. Hollows that the hull's grid is too coarse for are looked for on the grid of the second level, unless the object
-/// mirrors or the light turns.
+/// The start of level `index`, the surface that the level before has found, on its own grid and
+/// with its own texels, and the share of the hollows that it opens. Hollows that the hull's grid is
+/// too coarse for are looked for on the grid of the second level, unless the object mirrors or the
+/// light turns.
 fn next_surface(
     world: &mut World,
     found: SdfSurface,
@@ -333,7 +341,8 @@ fn with_texels(
     let carried = |at: Vec3| old.and_then(|(old, albedo)| Some(old.nearest_address(at)?.blend(albedo)));
     let albedo: Vec<Vec3> =
         volume.positions().map(|at| carried(at).unwrap_or(Vec3::splat(USUAL_ALBEDO))).collect();
-    // They have the state that a fit attaches: one table holds them, and none that they left keeps its room.
+    // They have the state that a fit attaches: one table holds them, and none that they left keeps
+    // its room.
     let (blend, sheen) = new_material(world, &albedo);
     let texels = (0..).map(TexelIndex).zip(albedo.into_iter().map(DiffuseAlbedo).zip(sheen));
     world.spawn_batch(texels.map(|(index, (albedo, sheen))| {
@@ -343,7 +352,8 @@ fn with_texels(
     SdfSurface { grid, volume, empty }
 }
 
-/// The pixels around the silhouettes of all training masks that are consistent with the hull, shuffled; at most `most`.
+/// The pixels around the silhouettes of all training masks that are consistent with the hull,
+/// shuffled; at most `most`.
 fn silhouette_samples(hull: &SdfGrid, views: &[Silhouette], seed: u64, most: usize) -> Vec<SilhouetteSample> {
     // Silhouette and pixel: a sample is ten times as large.
     let near_one = |(number, silhouette): (u32, &Silhouette)| {
@@ -380,7 +390,8 @@ fn new_material(world: &mut World, albedo: &[Vec3]) -> (SpecularBlend, Vec<Diffu
     (blend, known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()]))
 }
 
-/// Removes from the found field what lies outside the hull, and moves its contours to the outlines of the training masks (`outline`).
+/// Removes from the found field what lies outside the hull, and moves its contours to the outlines
+/// of the training masks (`outline`).
 pub fn refine_by_outlines(world: &mut World, surface: &mut SdfSurface) -> OutlineReport {
     let mut silhouettes = training_silhouettes(world);
     let grid = &mut surface.grid;
@@ -392,8 +403,9 @@ pub fn refine_by_outlines(world: &mut World, surface: &mut SdfSurface) -> Outlin
     fit_outlines(grid, &silhouettes)
 }
 
-/// Moves the vertices of a mesh of the found surface to where the training photographs agree ([`stereo`](crate::shape::stereo)).
-/// Nothing moves without a [`ModelError`] in the world, which this removes.
+/// Moves the vertices of a mesh of the found surface to where the training photographs agree
+/// ([`stereo`](crate::shape::stereo)). Nothing moves without a [`ModelError`] in the world, which
+/// this removes.
 pub fn refine_by_stereo(
     world: &mut World,
     mesh: &mut Mesh,
@@ -404,7 +416,8 @@ pub fn refine_by_stereo(
     refine(mesh, &training_views(world), &silhouettes, &error, go_on)
 }
 
-/// Gives the vertices of a mesh of the found surface normals that explain what it mirrors ([`mirror`](crate::shape::mirror)).
+/// Gives the vertices of a mesh of the found surface normals that explain what it mirrors
+/// ([`mirror`](crate::shape::mirror)).
 pub fn refine_by_mirror(
     world: &mut World,
     mesh: &mut Mesh,

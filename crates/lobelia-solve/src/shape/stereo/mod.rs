@@ -1,18 +1,22 @@
 //! Stereo: moves a mesh to where neighboring photographs agree.
 //!
-//! Silhouettes show no hollows, and shading shows slopes rather than positions; a printed pattern even looks like slopes. Where
-//! photographs have texture, patches of neighboring views agree at the right depth only. Each view is compared with its neighbors
-//! at several depths around the mesh (`sweep`), all views together vote for displacements of vertices, and a thin plate carries
-//! these across places without votes. Coarse pictures come first, then finer ones.
+//! Silhouettes show no hollows, and shading shows slopes rather than positions; a printed pattern
+//! even looks like slopes. Where photographs have texture, patches of neighboring views agree at
+//! the right depth only. Each view is compared with its neighbors at several depths around the mesh
+//! (`sweep`), all views together vote for displacements of vertices, and a thin plate carries these
+//! across places without votes. Coarse pictures come first, then finer ones.
 //!
-//! A highlight moves over the surface from view to view, so that patches of a glossy object agree at wrong depths. Two things tell
-//! that apart: the model explains such photographs already, and the views contradict each other. Votes count only where neither
-//! holds, and an object of which that is true as a whole is left alone. At the end displacements are taken back where all views
-//! together show reflections rather than a pattern of the surface (`pattern_shares`): neighbors alone do agree on those of metal.
+//! A highlight moves over the surface from view to view, so that patches of a glossy object agree
+//! at wrong depths. Two things tell that apart: the model explains such photographs already, and
+//! the views contradict each other. Votes count only where neither holds, and an object of which
+//! that is true as a whole is left alone. At the end displacements are taken back where all views
+//! together show reflections rather than a pattern of the surface (`pattern_shares`): neighbors
+//! alone do agree on those of metal.
 //!
-//! Sources: a search along rays with normalized cross-correlation, the best of several views (Goesele, Curless and Seitz, "Multi-View
-//! Stereo Revisited", CVPR 2006); displacements of a mesh with thin-plate smoothness (Vu et al., "High Accuracy and
-//! Visibility-Consistent Dense Multiview Stereo", PAMI 2012).
+//! Sources: a search along rays with normalized cross-correlation, the best of several views
+//! (Goesele, Curless and Seitz, "Multi-View Stereo Revisited", CVPR 2006); displacements of a mesh
+//! with thin-plate smoothness (Vu et al., "High Accuracy and Visibility-Consistent Dense Multiview
+//! Stereo", PAMI 2012).
 
 mod sweep;
 
@@ -30,7 +34,8 @@ use rayon::prelude::*;
 use std::ops::ControlFlow;
 use sweep::{Matched, Sweep, neighbors, sweep};
 
-/// From coarse to fine: size of a pixel relative to the finest picture's, and the search around the mesh.
+/// From coarse to fine: size of a pixel relative to the finest picture's, and the search around the
+/// mesh.
 const ROUNDS: [(u32, Sweep); 4] = [
     (4, Sweep { steps: 3, step: 1.0 }),
     (2, Sweep { steps: 3, step: 0.5 }),
@@ -45,7 +50,8 @@ const LEAST_COSINE: f32 = 0.1;
 const RIM: usize = 2;
 /// λ of the smoothing of statistics over the mesh.
 const WIDE: f32 = 10.0;
-/// Squared error of the model, relative to the variance of patches, at which half of the votes count.
+/// Squared error of the model, relative to the variance of patches, at which half of the votes
+/// count.
 const HALF_ERROR: f32 = 0.3;
 /// Variance of the views' shifts, in squared pixels, at which half of the votes count.
 const HALF_SPREAD: f32 = 0.15;
@@ -67,12 +73,14 @@ const REACH: f32 = 3.0;
 const LIFT: f32 = 0.02;
 /// Trust from which a vertex counts as one that follows its votes.
 const TRUSTED: f32 = 0.25;
-/// Fraction of the vertices that must be trusted for any to move: few scattered ones are chance, and pit a glossy surface.
+/// Fraction of the vertices that must be trusted for any to move: few scattered ones are chance,
+/// and pit a glossy surface.
 const LEAST_TRUSTED: f32 = 0.03;
-/// Share of the pattern, as [`pattern_shares`] has it, from which a displacement counts, and counts fully.
+/// Share of the pattern, as [`pattern_shares`] has it, from which a displacement counts, and counts
+/// fully.
 const PATTERN: (f32, f32) = (0.3, 0.5);
-/// A view shows a vertex: the least cosine between the direction to it and the normal, and how far behind what the view sees the vertex
-/// may lie, in pixels of the view.
+/// A view shows a vertex: the least cosine between the direction to it and the normal, and how far
+/// behind what the view sees the vertex may lie, in pixels of the view.
 const SHOWN_COSINE: f32 = 0.3;
 const SHOWN_SLACK: f32 = 3.0;
 /// Views that must show a vertex for its share of the pattern.
@@ -91,7 +99,8 @@ const UNFOLDINGS: usize = 4;
 /// Result of the refinement by stereo.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StereoReport {
-    /// Fraction of the vertices whose votes were trusted in the last round that moved any, in [0, 1].
+    /// Fraction of the vertices whose votes were trusted in the last round that moved any, in [0,
+    /// 1].
     pub trusted: f32,
     /// Root mean square of the displacement of all rounds, world units.
     pub moved: f32,
@@ -102,8 +111,9 @@ pub const fn rounds() -> usize {
     ROUNDS.len()
 }
 
-/// Moves the vertices of `mesh` to where the photographs agree, where that is better known than by shading, which leaves this `error`.
-/// Contours stay at the outlines of the `silhouettes`. `go_on` is asked before each round.
+/// Moves the vertices of `mesh` to where the photographs agree, where that is better known than by
+/// shading, which leaves this `error`. Contours stay at the outlines of the `silhouettes`. `go_on`
+/// is asked before each round.
 pub(crate) fn refine(
     mesh: &mut Mesh,
     views: &[TrainingView],
@@ -148,7 +158,8 @@ pub(crate) fn refine(
     report
 }
 
-/// Takes the displacements from `start` back where the photographs show no pattern of the surface, but what it mirrors.
+/// Takes the displacements from `start` back where the photographs show no pattern of the surface,
+/// but what it mirrors.
 fn take_back(mesh: &mut Mesh, start: &Mesh, views: &[TrainingView], factor: u32) {
     // From another placement the light is another, and a place without a pattern looks different.
     let of_views = || views.iter().map(|view| view.placement);
@@ -168,7 +179,8 @@ fn take_back(mesh: &mut Mesh, start: &Mesh, views: &[TrainingView], factor: u32)
     put(mesh, &shell, &back);
 }
 
-/// How many times smaller than the photographs the finest pictures are; `None` without views or triangles.
+/// How many times smaller than the photographs the finest pictures are; `None` without views or
+/// triangles.
 fn finest_factor(mesh: &Mesh, views: &[TrainingView]) -> Option<u32> {
     let (graph, positions) = VertexGraph::new(mesh);
     let center = positions.iter().sum::<Vec3>() / positions.len().max(1) as f32;
@@ -352,7 +364,8 @@ fn barycentric([a, b, c]: [Vec3; 3], point: Vec3) -> [f32; 3] {
     weights.map(|w| w / sum.max(1e-6))
 }
 
-/// Per vertex, in [0, 1]: how far its photographs are unexplained by the model and its views agree. A vertex without votes gets 0.
+/// Per vertex, in [0, 1]: how far its photographs are unexplained by the model and its views agree.
+/// A vertex without votes gets 0.
 fn gates(shell: &Shell, votes: &[Votes], error: &ModelError) -> Vec<f32> {
     let Shell { graph, positions, .. } = shell;
     let smooth = |column: &dyn Fn(&Votes) -> f32| {
@@ -372,13 +385,15 @@ fn gates(shell: &Shell, votes: &[Votes], error: &ModelError) -> Vec<f32> {
     (0..positions.len()).map(gate).collect()
 }
 
-/// High if the squared error of the model is large beside the variance of patches, and the spread of shifts is small.
+/// High if the squared error of the model is large beside the variance of patches, and the spread
+/// of shifts is small.
 fn gate(error: f32, variance: f32, spread: f32) -> f32 {
     let unexplained = error * error / (error * error + (HALF_ERROR * variance).powi(2)).max(1e-20);
     unexplained / (1.0 + (spread / HALF_SPREAD).powi(2))
 }
 
-/// How far stereo serves the object as a whole, in [0, 1], by the median of the gates of vertices with votes.
+/// How far stereo serves the object as a whole, in [0, 1], by the median of the gates of vertices
+/// with votes.
 fn object_gate(gates: &[f32]) -> f32 {
     let mut gates: Vec<f32> = gates.iter().copied().filter(|gate| *gate > 0.0).collect();
     median(&mut gates).map_or(0.0, |gate| smooth_step(gate, OBJECT))
@@ -390,13 +405,16 @@ fn smooth_step(x: f32, (low, high): (f32, f32)) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Whether what photographs show around each merged vertex of `shell` is a pattern on the surface, or something that it mirrors: in
-/// [0, 1), near 1 for a pattern. 0 where fewer than three views see the surface.
+/// Whether what photographs show around each merged vertex of `shell` is a pattern on the surface,
+/// or something that it mirrors: in [0, 1), near 1 for a pattern. 0 where fewer than three views
+/// see the surface.
 ///
-/// Two neighboring views agree on what metal or glaze mirrors: it seems to lie behind the surface. Views farther apart see other things in the
-/// mirror. So each vertex gets the mean and the variance of what all views show there. Where the mean still varies along the surface, that is a
-/// pattern of the surface itself; where the views vary more than their mean does along the surface, they show reflections, or the surface is not
-/// where it should be. The result is the variance of the mean along the surface, as a part of that and the variance over the views.
+/// Two neighboring views agree on what metal or glaze mirrors: it seems to lie behind the surface.
+/// Views farther apart see other things in the mirror. So each vertex gets the mean and the
+/// variance of what all views show there. Where the mean still varies along the surface, that is a
+/// pattern of the surface itself; where the views vary more than their mean does along the surface,
+/// they show reflections, or the surface is not where it should be. The result is the variance of
+/// the mean along the surface, as a part of that and the variance over the views.
 pub(crate) fn pattern_shares(mesh: &Mesh, shell: &Shell, pictures: &[MatchPicture]) -> Vec<f32> {
     let bvh = TriangleBvh::new(mesh);
     let seen: Vec<Vec<Seen>> = pictures.par_iter().map(|picture| picture.cast(&bvh)).collect();

@@ -1,15 +1,17 @@
-//! The search for depths: along each ray of a view, at several depths around the mesh, patches of the view are compared with those of
-//! its neighbors.
+//! The search for depths: along each ray of a view, at several depths around the mesh, patches of
+//! the view are compared with those of its neighbors.
 //!
-//! At a shift of s steps the whole surface is moved along the view's rays by the same relative depth, and each pixel is projected into
-//! the neighbors through the shifted surface. Patches are then compared by zero-mean normalized cross-correlation (ZNCC)
-//! with box windows. The slant of the surface is that of the mesh, so that no normals need a search.
+//! At a shift of s steps the whole surface is moved along the view's rays by the same relative
+//! depth, and each pixel is projected into the neighbors through the shifted surface. Patches are
+//! then compared by zero-mean normalized cross-correlation (ZNCC) with box windows. The slant of
+//! the surface is that of the mesh, so that no normals need a search.
 
 use crate::shape::pictures::{MatchPicture, Seen, views_beside};
 use glam::Vec3;
 use lobelia_sg::statistics::median;
 
-/// Angles in degrees between a view and its neighbors: less shows no depth, more does not look alike.
+/// Angles in degrees between a view and its neighbors: less shows no depth, more does not look
+/// alike.
 const ANGLES: (f32, f32) = (6.0, 35.0);
 /// The angle at which a neighbor is most useful, degrees.
 const BEST_ANGLE: f32 = 14.0;
@@ -22,7 +24,8 @@ const APART: f32 = 7.0;
 const RADIUS: usize = 3;
 /// Share of a patch that must show the object in both pictures.
 const LEAST_SHARE: f32 = 0.5;
-/// Variance of a patch (of values in [0, 1]) at which it counts half, and below which it says nothing.
+/// Variance of a patch (of values in [0, 1]) at which it counts half, and below which it says
+/// nothing.
 const HALF_VARIANCE: f32 = 0.0015;
 const NO_VARIANCE: f32 = 2e-4;
 /// ZNCC from which a match counts, and how much more counts fully.
@@ -40,7 +43,8 @@ const JUMP: f32 = 12.0;
 const AGREEING: usize = 2;
 
 impl MatchPicture {
-    /// Whether a point in the frame lies more than about a pixel beside the object; `false` out of the frame, where nothing is known.
+    /// Whether a point in the frame lies more than about a pixel beside the object; `false` out of
+    /// the frame, where nothing is known.
     pub(super) fn misses(&self, point: Vec3) -> bool {
         let Some((x, y, _)) = self.camera.project(point) else { return false };
         if !(x >= 0.0 && y >= 0.0 && x < self.camera.width as f32 && y < self.camera.height as f32) {
@@ -54,7 +58,8 @@ impl MatchPicture {
         !(-1..=1).any(|dy| (-1..=1).any(|dx| shows(x + dx, y + dy)))
     }
 
-    /// Whether the object or the window ends `pixels` beside a pixel or nearer, seen along rows, columns and diagonals.
+    /// Whether the object or the window ends `pixels` beside a pixel or nearer, seen along rows,
+    /// columns and diagonals.
     pub(super) fn near_rim(&self, at: usize, pixels: usize) -> bool {
         let (width, height) = (self.window.width as usize, self.window.height as usize);
         let (x, y) = (at % width, at / width);
@@ -66,7 +71,8 @@ impl MatchPicture {
     }
 }
 
-/// The neighbors of picture `of`: views beside it as seen from `center`, the most useful first, spread around it.
+/// The neighbors of picture `of`: views beside it as seen from `center`, the most useful first,
+/// spread around it.
 pub(super) fn neighbors(pictures: &[MatchPicture], of: usize, center: Vec3) -> Vec<usize> {
     let mut chosen: Vec<usize> = Vec::new();
     for i in views_beside(pictures, of, center, ANGLES.0..=ANGLES.1, |angle| (angle - BEST_ANGLE).abs()) {
@@ -103,7 +109,8 @@ pub(super) struct Matched {
     pub step: f32,
 }
 
-/// Sums over a patch: weight, a, b, a², b², ab, of pixels that count in both pictures; two more are unused, so that a vector holds all.
+/// Sums over a patch: weight, a, b, a², b², ab, of pixels that count in both pictures; two more are
+/// unused, so that a vector holds all.
 type Sums = [f32; 8];
 
 /// Searches for the depths of `reference`; `None` if it has fewer than two neighbors.
@@ -226,12 +233,14 @@ impl Task<'_> {
         }
     }
 
-    /// Whether the object ends, or another part of it begins, within a patch: there patches show two depths.
+    /// Whether the object ends, or another part of it begins, within a patch: there patches show
+    /// two depths.
     fn near_edge(&self, at: usize) -> bool {
         if self.reference.near_rim(at, EDGE) {
             return true;
         }
-        // Only pixels that see the mesh ask, so that a neighbor without mesh is infinitely far away.
+        // Only pixels that see the mesh ask, so that a neighbor without mesh is infinitely far
+        // away.
         let (width, own) = (self.reference.window.width as usize, self.seen[at].distance);
         let limit = JUMP * self.step * own;
         let jumps = |row: usize| {
@@ -244,7 +253,8 @@ impl Task<'_> {
     }
 }
 
-/// The place of the best score between its neighbors, and how clear it is; `None` if it lies at an end or says nothing.
+/// The place of the best score between its neighbors, and how clear it is; `None` if it lies at an
+/// end or says nothing.
 fn peak(scores: &[f32]) -> Option<(f32, f32)> {
     let best = (0..scores.len()).max_by(|&a, &b| scores[a].total_cmp(&scores[b]))?;
     if best == 0 || best + 1 == scores.len() {

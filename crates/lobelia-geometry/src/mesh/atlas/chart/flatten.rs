@@ -1,13 +1,16 @@
 //! From a patch to a chart: its vertices in the plane.
 //!
-//! A patch is seen along its mean normal. If triangles face away, the view is unfolded until none does; then the map is evened out. It
-//! counts if its distortion is small, and if it covers no point twice.
+//! A patch is seen along its mean normal. If triangles face away, the view is unfolded until none
+//! does; then the map is evened out. It counts if its distortion is small, and if it covers no
+//! point twice.
 //!
-//! Unfolding keeps each triangle's shape, by turns of triangles and one linear system (Liu, Zhang, Xu, Gotsman, Gortler: "A local/global
-//! approach to mesh parameterization", SGP 2008: ARAP). Evening out is a descent of the symmetric Dirichlet energy, which keeps every
-//! triangle from turning over. Energy and steps: Smith, Schaefer: "Bijective parameterization with free boundaries", SIGGRAPH 2015. The
-//! gradient is taken through the Laplacian, as in Kovalsky, Galun, Lipman: "Accelerated quadratic proxy for geometric optimization",
-//! SIGGRAPH 2016, with conjugate directions instead of their acceleration.
+//! Unfolding keeps each triangle's shape, by turns of triangles and one linear system (Liu, Zhang,
+//! Xu, Gotsman, Gortler: "A local/global approach to mesh parameterization", SGP 2008: ARAP).
+//! Evening out is a descent of the symmetric Dirichlet energy, which keeps every triangle from
+//! turning over. Energy and steps: Smith, Schaefer: "Bijective parameterization with free
+//! boundaries", SIGGRAPH 2015. The gradient is taken through the Laplacian, as in Kovalsky, Galun,
+//! Lipman: "Accelerated quadratic proxy for geometric optimization", SIGGRAPH 2016, with conjugate
+//! directions instead of their acceleration.
 
 use super::{Patch, PlanarTriangle, area_in_plane, loops};
 use glam::{DVec2, DVec3};
@@ -18,7 +21,8 @@ const MOST_HIDDEN: f64 = 0.3;
 const UNFOLDING_ROUNDS: usize = 4;
 /// Rounds of moving vertices of the last turned triangles between their neighbors.
 const UNTANGLING_ROUNDS: usize = 16;
-/// Steps of evening out; the least part of the rest that a step must gain; an energy that is good enough.
+/// Steps of evening out; the least part of the rest that a step must gain; an energy that is good
+/// enough.
 const EVENING: (usize, f64, f64) = (16, 0.02, 4.02);
 /// Accuracy and most rounds of the linear system of unfolding.
 const UNFOLDING_ACCURACY: (f64, usize) = (0.05, 40);
@@ -30,7 +34,8 @@ const SAFE: f64 = 0.8;
 const SUFFICIENT: f64 = 1e-3;
 /// Shortest step that is tried, of the first one.
 const SHORTEST: f64 = 1e-4;
-/// Bounds of an edge's weight of the Laplacian: positive, so that the matrix is semidefinite, and finite at slivers.
+/// Bounds of an edge's weight of the Laplacian: positive, so that the matrix is semidefinite, and
+/// finite at slivers.
 const WEIGHTS: (f64, f64) = (0.02, 20.0);
 /// Most cells of the grid along a side.
 const MOST_CELLS: f64 = 512.0;
@@ -40,14 +45,16 @@ const SLIT: f64 = 1e-9;
 /// How much a chart may be distorted.
 #[derive(Clone, Copy, Debug)]
 pub struct Tolerance {
-    /// Largest mean energy ([`energy`]); 4 is rigid, 4.5 squares that become rectangles of 1 by 1.64.
+    /// Largest mean energy ([`energy`]); 4 is rigid, 4.5 squares that become rectangles of 1 by
+    /// 1.64.
     pub mean: f64,
     /// Largest part of the area whose triangles become more than twice as large, or less than half.
     pub uneven: f64,
 }
 
-/// The patch in the plane, as large as in the world and not mirrored: one place for each vertex, world units. `None` if it has no border, has
-/// handles, or cannot lie flat within the tolerance without triangles that are turned over or parts that overlap.
+/// The patch in the plane, as large as in the world and not mirrored: one place for each vertex,
+/// world units. `None` if it has no border, has handles, or cannot lie flat within the tolerance
+/// without triangles that are turned over or parts that overlap.
 pub fn flatten(patch: &Patch, tolerance: &Tolerance) -> Option<Vec<DVec2>> {
     let mut map = patch.view();
     let is_hidden = |j: [DVec2; 2]| !energy(j).is_finite();
@@ -74,7 +81,8 @@ pub fn flatten(patch: &Patch, tolerance: &Tolerance) -> Option<Vec<DVec2>> {
     .then_some(map)
 }
 
-/// Energy of a triangle per area: σ₁² + σ₂² + σ₁⁻² + σ₂⁻² of the map's singular values, 4 where it is rigid.
+/// Energy of a triangle per area: σ₁² + σ₂² + σ₁⁻² + σ₂⁻² of the map's singular values, 4 where it
+/// is rigid.
 pub fn energy([by_x, by_y]: [DVec2; 2]) -> f64 {
     let det = by_x.perp_dot(by_y);
     let squares = by_x.length_squared() + by_y.length_squared();
@@ -113,8 +121,8 @@ impl Patch {
         areas.sum::<f64>() / self.area
     }
 
-    /// One round of unfolding: turns each triangle to fit the map as it is, and moves the vertices to where these turned triangles meet
-    /// best.
+    /// One round of unfolding: turns each triangle to fit the map as it is, and moves the vertices
+    /// to where these turned triangles meet best.
     fn unfold(&self, laplacian: &Laplacian, map: &mut [DVec2]) {
         let mut force = vec![DVec2::ZERO; map.len()];
         for (triangle, shape, [by_x, by_y]) in self.jacobians(map) {
@@ -128,7 +136,8 @@ impl Patch {
         map.iter_mut().zip(moves).for_each(|(place, by)| *place += by);
     }
 
-    /// Moves vertices of turned triangles to the middle of their neighbors, until there are none or the rounds are over.
+    /// Moves vertices of turned triangles to the middle of their neighbors, until there are none or
+    /// the rounds are over.
     fn untangle(&self, laplacian: &Laplacian, map: &mut [DVec2]) {
         for _ in 0..UNTANGLING_ROUNDS {
             let turned = self.jacobians(map).filter(|(.., j)| !energy(*j).is_finite());
@@ -146,7 +155,8 @@ impl Patch {
         }
     }
 
-    /// Energy over the patch, divided by its area: at least 4; infinite if a triangle is turned over.
+    /// Energy over the patch, divided by its area: at least 4; infinite if a triangle is turned
+    /// over.
     pub fn mean_energy(&self, map: &[DVec2]) -> f64 {
         self.jacobians(map).map(|(_, shape, j)| shape.area * energy(j)).sum::<f64>() / self.area
     }
@@ -162,8 +172,9 @@ impl Patch {
         sums
     }
 
-    /// Lowers the mean energy of a map without turned triangles in at most `rounds` steps, until one gains less than `enough` of what is above
-    /// 4, or it is at most `good`. Returns the energy.
+    /// Lowers the mean energy of a map without turned triangles in at most `rounds` steps, until
+    /// one gains less than `enough` of what is above 4, or it is at most `good`. Returns the
+    /// energy.
     pub fn even_out(
         &self,
         laplacian: &Laplacian,
@@ -203,7 +214,8 @@ impl Patch {
         energy
     }
 
-    /// Goes along `direction`: the energy there and the length of the step; `None` if nothing is gained.
+    /// Goes along `direction`: the energy there and the length of the step; `None` if nothing is
+    /// gained.
     fn search(
         &self,
         map: &mut Vec<DVec2>,
@@ -231,8 +243,8 @@ impl Patch {
             let [p, q, r] = triangle.map(|v| map[v as usize]);
             let [dp, dq, dr] = triangle.map(|v| direction[v as usize]);
             let (u, v, du, dv) = (q - p, r - p, dq - dp, dr - dp);
-            // The smallest positive root of a t² + b t + c with c > 0, if there is one: of the two forms of the roots, those without
-            // cancellation.
+            // The smallest positive root of a t² + b t + c with c > 0, if there is one: of the two
+            // forms of the roots, those without cancellation.
             let (a, b, c) = (du.perp_dot(dv), u.perp_dot(dv) + du.perp_dot(v), u.perp_dot(v));
             let inside = b * b - 4.0 * a * c;
             if inside < 0.0 {
@@ -245,8 +257,9 @@ impl Patch {
     }
 }
 
-/// The cotangent Laplacian of a patch (Pinkall, Polthier: "Computing discrete minimal surfaces and their conjugates", Experimental
-/// Mathematics 2, 1993), as rows of edges: a symmetric matrix with the sums of its rows zero.
+/// The cotangent Laplacian of a patch (Pinkall, Polthier: "Computing discrete minimal surfaces and
+/// their conjugates", Experimental Mathematics 2, 1993), as rows of edges: a symmetric matrix with
+/// the sums of its rows zero.
 #[derive(Debug)]
 pub struct Laplacian {
     /// The edges of each vertex: the other vertex, and the weight.
@@ -256,7 +269,8 @@ pub struct Laplacian {
 }
 
 impl Laplacian {
-    /// The matrix of a patch; half the quadratic form is the Dirichlet energy, but for bounds of the weights.
+    /// The matrix of a patch; half the quadratic form is the Dirichlet energy, but for bounds of
+    /// the weights.
     pub fn new(patch: &Patch) -> Self {
         let mut edges: Vec<Vec<(u32, f64)>> = vec![Vec::with_capacity(8); patch.points.len()];
         let mut add = |from: u32, to: u32, weight: f64| {
@@ -281,9 +295,11 @@ impl Laplacian {
         Self { edges, diagonal }
     }
 
-    /// About the solution of L x = `right`, whose sum is zero, by conjugate gradients from x = 0 with the diagonal as preconditioner
-    /// (Hestenes, Stiefel: "Methods of conjugate gradients for solving linear systems", 1952): until the residual has fallen to
-    /// `tolerance` of the right side, or for `rounds`. If `right` is a gradient, −x is a direction of descent whatever the round.
+    /// About the solution of L x = `right`, whose sum is zero, by conjugate gradients from x = 0
+    /// with the diagonal as preconditioner (Hestenes, Stiefel: "Methods of conjugate gradients for
+    /// solving linear systems", 1952): until the residual has fallen to `tolerance` of the right
+    /// side, or for `rounds`. If `right` is a gradient, −x is a direction of descent whatever the
+    /// round.
     pub fn solve(&self, right: &[DVec2], tolerance: f64, rounds: usize) -> Vec<DVec2> {
         let mut x = vec![DVec2::ZERO; right.len()];
         let mut residual = right.to_vec();
@@ -319,10 +335,12 @@ impl Laplacian {
     }
 }
 
-/// Whether a map without turned triangles covers no point twice. `border` holds closed loops, one after another, with the patch on their left.
+/// Whether a map without turned triangles covers no point twice. `border` holds closed loops, one
+/// after another, with the patch on their left.
 ///
-/// The number of times that a point is covered is the sum of how often the loops wind around it. If no two segments cross, each loop winds
-/// once: around the patch if it is the outer one, the other way if it is that of a hole. A hole may have closed to a slit.
+/// The number of times that a point is covered is the sum of how often the loops wind around it. If
+/// no two segments cross, each loop winds once: around the patch if it is the outer one, the other
+/// way if it is that of a hole. A hole may have closed to a slit.
 pub(super) fn is_simple(border: &[[u32; 2]], map: &[DVec2]) -> bool {
     // The area inside each loop, negative if it runs clockwise.
     let area = |edges: &[[u32; 2]]| -> f64 {

@@ -1,7 +1,8 @@
 //! Charts: parts of a surface that lie in a plane with little distortion.
 //!
-//! [`segment`] makes a tree of regions; from its roots, a region that can be flattened ([`flatten`](mod@flatten)) is a chart, any other falls into its two
-//! halves. A single triangle always can. Then small charts join a neighbor where the two together are still flat enough.
+//! [`segment`] makes a tree of regions; from its roots, a region that can be flattened
+//! ([`flatten`](mod@flatten)) is a chart, any other falls into its two halves. A single triangle
+//! always can. Then small charts join a neighbor where the two together are still flat enough.
 
 mod flatten;
 mod segment;
@@ -14,7 +15,8 @@ use rayon::prelude::*;
 use segment::{RegionNode, RegionTree};
 use std::collections::BTreeMap;
 
-/// So many times a region is tried before its halves; deeper in the tree only regions of at most so many triangles are tried.
+/// So many times a region is tried before its halves; deeper in the tree only regions of at most so
+/// many triangles are tried.
 const LEVELS: (usize, u32) = (24, 256);
 /// Distortion limits of a chart.
 const USUAL: Tolerance = Tolerance { mean: 4.5, uneven: 0.01 };
@@ -34,7 +36,8 @@ pub struct Chart {
     pub faces: Vec<u32>,
     /// Three places of `places` for each.
     pub triangles: Vec<[u32; 3]>,
-    /// Places in the plane, world units: triangles are counter-clockwise and, all together, as large as in the world.
+    /// Places in the plane, world units: triangles are counter-clockwise and, all together, as
+    /// large as in the world.
     pub places: Vec<DVec2>,
 }
 
@@ -53,10 +56,12 @@ fn area_in_plane(triangles: &[[u32; 3]], places: &[DVec2]) -> f64 {
     0.5 * triangles.iter().map(doubled).sum::<f64>()
 }
 
-/// Charts of all triangles of a mesh that have area, each in one of them. Indices of the mesh are in range. Deterministic.
+/// Charts of all triangles of a mesh that have area, each in one of them. Indices of the mesh are
+/// in range. Deterministic.
 ///
 /// # Errors
-/// [`Error::Interrupted`](crate::Error::Interrupted) if the work is to stop: of a million triangles it takes ten seconds.
+/// [`Error::Interrupted`](crate::Error::Interrupted) if the work is to stop: of a million triangles
+/// it takes ten seconds.
 pub fn charts(mesh: &Mesh) -> Result<Vec<Chart>> {
     let topology = Topology::new(mesh);
     let tree = RegionTree::new(&topology);
@@ -91,7 +96,8 @@ fn chart_of(topology: &Topology, faces: Vec<u32>, tolerance: &Tolerance) -> Opti
     Some(Chart { faces: patch.faces, triangles: patch.triangles, places })
 }
 
-/// Small charts join the neighbor with which they share most of their border, if the two lie flat together; from the smallest up.
+/// Small charts join the neighbor with which they share most of their border, if the two lie flat
+/// together; from the smallest up.
 fn join_small(topology: &Topology, charts: Vec<Chart>) -> Result<Vec<Chart>> {
     let mut chart_of_face = vec![NONE; topology.triangles.len()];
     let areas: Vec<f64> = charts.iter().map(Chart::area).collect();
@@ -145,8 +151,9 @@ const NONE: u32 = u32::MAX;
 
 /// Triangles, their corners welded by position, and what lies across each of their edges.
 ///
-/// Edge k of a triangle goes from its corner k to the next one. Two triangles are neighbors across an edge if no third one has it and
-/// if they run along it in opposite directions. Degenerate triangles have no neighbors.
+/// Edge k of a triangle goes from its corner k to the next one. Two triangles are neighbors across
+/// an edge if no third one has it and if they run along it in opposite directions. Degenerate
+/// triangles have no neighbors.
 #[derive(Debug)]
 struct Topology {
     /// World position of each vertex of the mesh.
@@ -207,7 +214,8 @@ impl Topology {
     }
 }
 
-/// Triangles of a surface with vertices of their own: two corners are one vertex only if a fan of the patch's triangles joins them.
+/// Triangles of a surface with vertices of their own: two corners are one vertex only if a fan of
+/// the patch's triangles joins them.
 #[derive(Debug)]
 struct Patch {
     /// Triangles of the surface, ascending.
@@ -218,7 +226,8 @@ struct Patch {
     shapes: Vec<PlanarTriangle>,
     /// World position of each vertex.
     points: Vec<DVec3>,
-    /// The patch's border: half edges as pairs of vertices, in closed loops one after another ([`loops`]).
+    /// The patch's border: half edges as pairs of vertices, in closed loops one after another
+    /// ([`loops`]).
     border: Vec<[u32; 2]>,
     /// Sum of the area vectors, squared world units.
     area_vector: DVec3,
@@ -255,7 +264,8 @@ impl Patch {
         Self { faces, triangles, shapes, points, border, area_vector, area }
     }
 
-    /// Whether the patch can lie in a plane: connected, it has a border and no handles (Euler's formula).
+    /// Whether the patch can lie in a plane: connected, it has a border and no handles (Euler's
+    /// formula).
     fn is_planar(&self) -> bool {
         let edges = (3 * self.triangles.len() + self.border.len()) / 2;
         let loops = loops(&self.border).count();
@@ -308,7 +318,8 @@ fn loops(border: &[[u32; 2]]) -> impl Iterator<Item = &[[u32; 2]]> {
     border.chunk_by(|before, next| before[1] == next[0])
 }
 
-/// A triangle as it lies in its own plane: its first corner at the origin, the second on the x axis.
+/// A triangle as it lies in its own plane: its first corner at the origin, the second on the x
+/// axis.
 #[derive(Clone, Copy, Debug)]
 struct PlanarTriangle {
     /// x of the second corner, world units.
@@ -335,7 +346,8 @@ impl PlanarTriangle {
         [DVec2::ZERO, DVec2::new(self.base, 0.0), self.tip]
     }
 
-    /// Derivatives of a map from the triangle's plane that takes its corners to `corners`: by x, and by y.
+    /// Derivatives of a map from the triangle's plane that takes its corners to `corners`: by x,
+    /// and by y.
     fn jacobian(&self, corners: [DVec2; 3]) -> [DVec2; 2] {
         let by_x = (corners[1] - corners[0]) / self.base;
         [by_x, (corners[2] - corners[0] - by_x * self.tip.x) / self.tip.y]

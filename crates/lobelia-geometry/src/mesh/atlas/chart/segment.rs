@@ -1,9 +1,10 @@
 //! Which triangles make a chart: a tree of regions that merge, the cheapest pair first.
 //!
-//! Hierarchical face clustering (Garland, Willmott, Heckbert: "Hierarchical face clustering on polygonal surfaces", I3D 2001) with the
-//! L²·¹ measure of flatness (Cohen-Steiner, Alliez, Desbrun: "Variational shape approximation", SIGGRAPH 2004): a region of area A and
-//! summed area vector N has the error A − |N|, half the integral of |n − N/|N||². A merge costs the error that it adds, so small
-//! regions join others early and no specks remain.
+//! Hierarchical face clustering (Garland, Willmott, Heckbert: "Hierarchical face clustering on
+//! polygonal surfaces", I3D 2001) with the L²·¹ measure of flatness (Cohen-Steiner, Alliez,
+//! Desbrun: "Variational shape approximation", SIGGRAPH 2004): a region of area A and summed area
+//! vector N has the error A − |N|, half the integral of |n − N/|N||². A merge costs the error that
+//! it adds, so small regions join others early and no specks remain.
 
 use super::{NONE, Topology};
 use glam::DVec3;
@@ -14,11 +15,13 @@ use std::collections::{BinaryHeap, HashMap};
 const MAX_BEND: f64 = 0.42;
 /// Weight of squared perimeters, over 4π, against errors: straight seams and round charts.
 const ROUNDNESS: f64 = 0.15;
-/// How much dearer a merge becomes where the shared border is a crease, by 1 − cos of the angle between normals there.
+/// How much dearer a merge becomes where the shared border is a crease, by 1 − cos of the angle
+/// between normals there.
 const CREASE: f64 = 4.0;
 /// A crease on the inside hides a seam better than one on the outside.
 const CONCAVE: f64 = 2.0;
-/// Rounds in which normals become those of their neighborhood; the normals of a found mesh are noisy.
+/// Rounds in which normals become those of their neighborhood; the normals of a found mesh are
+/// noisy.
 const SMOOTHING_ROUNDS: usize = 5;
 
 /// A node of the tree of regions: a triangle, or two nodes.
@@ -90,7 +93,8 @@ fn pair(a: u32, b: u32) -> RegionPair {
     (a.min(b), a.max(b))
 }
 
-/// A pair of regions that may merge: cost ([`order_of`]), number of the entry, so that of equal costs the oldest comes first, and pair.
+/// A pair of regions that may merge: cost ([`order_of`]), number of the entry, so that of equal
+/// costs the oldest comes first, and pair.
 type Candidate = Reverse<(i64, u32, RegionPair)>;
 
 /// A number that is ordered as the cost is, by its bits (see [`f64::total_cmp`]).
@@ -251,7 +255,8 @@ fn smoothed_normals(topology: &Topology, area: &[f64]) -> Vec<DVec3> {
     normals
 }
 
-/// How sharp the edge between two triangles is, 0 where they are flat; more where it is on the inside.
+/// How sharp the edge between two triangles is, 0 where they are flat; more where it is on the
+/// inside.
 fn crease(topology: &Topology, t: u32, other: u32) -> f64 {
     let [normal, across] = [t, other].map(|t| topology.area_vectors[t as usize].normalize_or_zero());
     let middle = |t: u32| topology.corners(t).into_iter().sum::<DVec3>() / 3.0;

@@ -56,7 +56,8 @@ fn good_charts(mesh: &Mesh) -> Vec<Chart> {
 
 #[test]
 fn charts_are_few_and_flat_and_cover_nothing_twice() {
-    // A closed ball, a torus with its handle, a tube with two borders, flat and thin parts with creases.
+    // A closed ball, a torus with its handle, a tube with two borders, flat and thin parts with
+    // creases.
     for (mesh, most) in [
         (ball(16, 0.0), 8),
         (torus(24, 12), 14),

@@ -1,8 +1,10 @@
 //! Packing: charts side by side in a square texture, as large as possible.
 //!
-//! Charts stand upright (`set_upright`), and the largest goes first, each as low as it can be in one of four turns ([`page`]; the rule is
-//! Baker, Coffman, Rivest: "Orthogonal packings in two dimensions", SIAM Journal on Computing 1980, for shapes instead of
-//! rectangles, as in Lévy, Petitjean, Ray, Maillot: "Least squares conformal maps", SIGGRAPH 2002). The scale is found by trial.
+//! Charts stand upright (`set_upright`), and the largest goes first, each as low as it can be in
+//! one of four turns ([`page`]; the rule is Baker, Coffman, Rivest: "Orthogonal packings in two
+//! dimensions", SIAM Journal on Computing 1980, for shapes instead of rectangles, as in Lévy,
+//! Petitjean, Ray, Maillot: "Least squares conformal maps", SIGGRAPH 2002). The scale is found by
+//! trial.
 
 mod page;
 
@@ -16,7 +18,8 @@ use std::collections::HashMap;
 pub(crate) const GUTTER: u32 = 4;
 /// Texels at the border of the texture that no chart touches, at least.
 pub const MARGIN: u32 = 2;
-/// Most cells along a side of the page: cells of larger textures are squares of texels, if charts are large.
+/// Most cells along a side of the page: cells of larger textures are squares of texels, if charts
+/// are large.
 const MOST_CELLS: u32 = 512;
 /// Cells along the side of a mean chart's share of the page, at least.
 const CHART_CELLS: f64 = 32.0;
@@ -26,7 +29,8 @@ const FIRST_FILL: f64 = 0.9;
 const STEPS: (f64, f64) = (1.08, 1.02);
 /// Orders of the charts that are tried then, and the gain in scale that each must bring.
 const ORDERS: (usize, f64) = (32, 1.005);
-/// Charts that all these orders together may place: thousands of charts fill a texture well at once.
+/// Charts that all these orders together may place: thousands of charts fill a texture well at
+/// once.
 const MOST_PLACED: usize = 8192;
 /// How far chance moves a chart in the order, as a part of its size.
 const SHUFFLE: f64 = 0.25;
@@ -35,8 +39,8 @@ const SMALLEST: f64 = 1.0;
 /// Masks up to this large share the row where the search begins.
 const SMALL_MASK: u32 = 12;
 
-/// Packs charts into a texture of `size`² texels. All get the same scale; their places become texels. False, and no change but of places, if
-/// they do not fit.
+/// Packs charts into a texture of `size`² texels. All get the same scale; their places become
+/// texels. False, and no change but of places, if they do not fit.
 pub(crate) fn pack(charts: &mut [Chart], size: u32) -> bool {
     if charts.is_empty() {
         return true;
@@ -53,7 +57,8 @@ pub(crate) fn pack(charts: &mut [Chart], size: u32) -> bool {
     true
 }
 
-/// A point of a chart with the box from the origin to `corner`, turned by quarters, so that the box begins at the origin again.
+/// A point of a chart with the box from the origin to `corner`, turned by quarters, so that the box
+/// begins at the origin again.
 fn turned(point: DVec2, corner: DVec2, quarters: usize) -> DVec2 {
     match quarters {
         0 => point,
@@ -205,7 +210,8 @@ impl<'a> Packing<'a> {
     }
 }
 
-/// A number in [−1, 1) that looks like chance: SplitMix64 (Steele, Lea, Flood: "Fast splittable pseudorandom number generators", OOPSLA 2014).
+/// A number in [−1, 1) that looks like chance: SplitMix64 (Steele, Lea, Flood: "Fast splittable
+/// pseudorandom number generators", OOPSLA 2014).
 fn chance(series: u64, index: u64) -> f64 {
     let mut z = (series << 32 | index).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -213,9 +219,10 @@ fn chance(series: u64, index: u64) -> f64 {
     (z ^ z >> 31) as i64 as f64 / 2f64.powi(63)
 }
 
-/// Turns the points so that the axis-parallel box around them is smallest, with its low corner at the origin and its long side along x.
-/// Returns the other corner. One side of the smallest box lies on the convex hull (Freeman, Shapira: "Determining the minimum-area
-/// encasing rectangle for an arbitrary closed curve", CACM 1975).
+/// Turns the points so that the axis-parallel box around them is smallest, with its low corner at
+/// the origin and its long side along x. Returns the other corner. One side of the smallest box
+/// lies on the convex hull (Freeman, Shapira: "Determining the minimum-area encasing rectangle for
+/// an arbitrary closed curve", CACM 1975).
 fn set_upright(points: &mut [DVec2]) -> DVec2 {
     let hull = convex_hull(points);
     let mut best = (f64::INFINITY, DVec2::X);

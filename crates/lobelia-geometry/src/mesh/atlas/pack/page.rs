@@ -1,7 +1,9 @@
-//! A square of cells, some of them taken, the cells that a chart touches, and the lowest place where these fit.
+//! A square of cells, some of them taken, the cells that a chart touches, and the lowest place
+//! where these fit.
 //!
-//! Bottom-left placement of shapes as bitmaps. For one row of the page all columns are tested at once: a run of n cells is blocked at every
-//! column that has a taken cell at most n − 1 columns further on, which is about log₂ n shifts of the row.
+//! Bottom-left placement of shapes as bitmaps. For one row of the page all columns are tested at
+//! once: a run of n cells is blocked at every column that has a taken cell at most n − 1 columns
+//! further on, which is about log₂ n shifts of the row.
 
 use glam::{DVec2, UVec2};
 use std::ops::Range;
@@ -148,7 +150,8 @@ impl Page {
         self.longest_free[y as usize] = longest.max(64 * self.stride as u32 - begin);
     }
 
-    /// The lowest of `rows` where the mask touches no taken cell, and the first column there. `scratch` keeps the room of two rows of bits.
+    /// The lowest of `rows` where the mask touches no taken cell, and the first column there.
+    /// `scratch` keeps the room of two rows of bits.
     pub fn find(&self, mask: &CellMask, rows: Range<u32>, scratch: &mut [Vec<u64>; 2]) -> Option<UVec2> {
         let end = rows.end.min((self.side + 1).checked_sub(mask.size.y)?);
         if mask.size.x > self.side {

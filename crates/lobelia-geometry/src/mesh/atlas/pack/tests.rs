@@ -9,7 +9,8 @@ fn corners(charts: &[Chart]) -> impl Iterator<Item = (usize, [DVec2; 3])> {
     all.flat_map(|(i, chart)| chart.triangles.iter().map(move |t| (i, t.map(|v| chart.places[v as usize]))))
 }
 
-/// Packs a mesh and looks at everything that must hold; the part of the texture that triangles fill.
+/// Packs a mesh and looks at everything that must hold; the part of the texture that triangles
+/// fill.
 fn good_fill(mesh: &Mesh, size: u32) -> f64 {
     let mut all = charts(mesh).unwrap();
     let areas: Vec<f64> = all.iter().map(Chart::area).collect();
