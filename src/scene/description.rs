@@ -128,8 +128,8 @@ pub enum Visibility {
     None,
     /// Found by rays from every texel.
     Traced {
-        /// Directions over the sphere that texels look in, 64 to 4096, rounded up to a multiple of
-        /// 64. Default 512.
+        /// Directions over the sphere that texels look in, 64 to 4096, rounded up to a multiple of 64.
+        /// Default 512.
         #[serde(default = "number::<512>")]
         directions: u32,
         /// Reflections from one part of the object onto another, 0 (shadows alone) to 8. Default 2.

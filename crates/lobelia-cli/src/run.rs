@@ -2,7 +2,7 @@
 
 use super::start::{Choices, SceneArgs, ThreadArgs, choices, load_options, start_threads, stop_on_signals};
 use super::{profile::Profiler, terminal::JsonLog, terminal::Terminal};
-use clap::Args;
+use clap::{ArgAction, Args};
 use lobelia::scene::load;
 use lobelia::shade::device::ShadingDevice;
 use lobelia::{Result, pass, pass::RunOptions, pass::memory::usual_budget, pass::progress::Progress};
@@ -62,7 +62,8 @@ pub struct RunArgs {
     live: bool,
     /// Form of a run's messages: text for a person, or a line of JSON for each event, on standard
     /// output
-    #[arg(long, value_name = "FORM", default_value = "text", conflicts_with = "quiet", value_parser = choices(LOGS))]
+    #[arg(long, value_name = "FORM", default_value = "text", conflicts_with = "quiet", action = ArgAction::Set,
+        value_parser = choices(LOGS))]
     log: bool,
     /// Nothing but errors on the terminal: no progress bars, no notes, no results
     #[arg(short, long)]

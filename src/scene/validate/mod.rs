@@ -143,7 +143,9 @@ fn placement_light(at: &Place, placement: &mut PlacementSpec, is_first: bool, ow
         PlacementLight::Own if is_known => {
             ("Own", false, "Fixed(…), as the scene's `light` is known, or Same")
         }
-        PlacementLight::Own => ("Own", is_unknown, "Same, or a scene's `light` that is Unknown(…)"),
+        PlacementLight::Own => {
+            ("Own", is_unknown, "Same, or a scene's `light` that is Unknown(…) and not Initial(…)")
+        }
         PlacementLight::Fixed(source) => {
             light_source(&at.at("light"), source);
             ("Fixed(…)", is_known, "Own, as the scene's `light` is not known, or Same")

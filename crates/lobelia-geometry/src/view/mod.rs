@@ -1,7 +1,7 @@
 //! Views: cameras, photographs and masks.
 //!
-//! Camera axes are OpenCV's (x right, y down, z forward). The center of pixel (i, j) is (i + 0.5, j
-//! + 0.5).
+//! Camera axes are OpenCV's (x right, y down, z forward). The center of pixel (i, j) is (i + 0.5, j +
+//! 0.5).
 //!
 //! | module | holds |
 //! | --- | --- |

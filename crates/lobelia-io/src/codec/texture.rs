@@ -46,8 +46,8 @@ pub fn read_texture_mask(path: &Path, width: u32, height: u32) -> Result<Vec<f32
     Ok(resampled.into_iter().map(|v| v.x).collect())
 }
 
-/// Reads an EXR of vectors, one channel for each of `axes`, as `width * height` values, row 0 at v
-/// = 0; resampled like [`read_texture`].
+/// Reads an EXR of vectors, one channel for each of `axes`, as `width * height` values, row 0 at v =
+/// 0; resampled like [`read_texture`].
 ///
 /// # Errors
 /// [`Error::Input`] if the file is not an EXR with these channels, all finite.

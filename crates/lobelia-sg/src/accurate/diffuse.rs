@@ -55,8 +55,8 @@ fn steepness<F: Real>(l: F) -> WithDerivative<F> {
     (l * root, root + (l * ratio_prime).times(0.5) * root.inverse())
 }
 
-/// The integral over 2π for an axis along the normal, (1 − g)/λ, and against it, e(g − e)/λ, with e
-/// = e^(−λ), g = (1 − e)/λ.
+/// The integral over 2π for an axis along the normal, (1 − g)/λ, and against it, e(g − e)/λ, with e =
+/// e^(−λ), g = (1 − e)/λ.
 #[inline(always)]
 fn extremes<F: Real>(l: F) -> (WithDerivative<F>, WithDerivative<F>) {
     let bound = l.lit(0.5);

@@ -120,8 +120,8 @@ impl<F: Real> Clipped<F> {
         let square = t.mul_add(t, t.lit(4.0));
         let inverse_root = square.quick_rsqrt();
         let root = square * inverse_root;
-        // The root without cancellation of the two roots ±a of a² + ta = 1: m = max(a, 1/a), and 1
-        // + m² = m·root.
+        // The root without cancellation of the two roots ±a of a² + ta = 1: m = max(a, 1/a), and 1 +
+        // m² = m·root.
         let m = (root + t.max(-t)).times(0.5);
         let narrow = (m * root).quick_rsqrt();
         let wide = m * narrow;

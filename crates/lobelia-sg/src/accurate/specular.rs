@@ -2,8 +2,8 @@
 //! around the product's peak (`accurate/placement.rs`).
 //!
 //! In half-vector space the integral is ∫ F·G₁(n·ω)·G₁(n·v)·(n·ω)·(v·h) · (L/2π)e^{L(h·n − 1)} ·
-//! e^{λ(ω·ξ − 1)} dh with ω = 2(v·h)h − v (dω = 4(v·h)dh cancels the BRDF's 4(n·ω)(n·v), and G₁(c)
-//! = 1/(c(1 − k) + k)). The half vector is given in Lambert's equal-area chart around the normal,
+//! e^{λ(ω·ξ − 1)} dh with ω = 2(v·h)h − v (dω = 4(v·h)dh cancels the BRDF's 4(n·ω)(n·v), and G₁(c) =
+//! 1/(c(1 − k) + k)). The half vector is given in Lambert's equal-area chart around the normal,
 //! |X|² = 2(1 − h·n): there dh = dX and the NDF is exactly e^(−L|X|²/2), however broad, and the
 //! singularities of ω-space at the horizon do not occur.
 //!

@@ -18,17 +18,17 @@ use std::f32::consts::FRAC_PI_2;
 /// | `Blender` | +Z | −X | +Y | +X | −Y |
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum MapConvention {
-    /// The convention of this crate: direction (cos θ sin φ, cos φ, sin θ sin φ) of (u, v), with φ
-    /// = πv and θ = 2πu − π/2.
+    /// The convention of this crate: direction (cos θ sin φ, cos φ, sin θ sin φ) of (u, v), with φ =
+    /// πv and θ = 2πu − π/2.
     #[default]
     Lobelia,
     /// Mitsuba 3's `envmap` without a `to_world`: the same.
     Mitsuba,
-    /// three.js, and viewers of glTF files that are built on it: u = ½ + atan2(z, x)/2π, that is θ
-    /// = 2πu − π.
+    /// three.js, and viewers of glTF files that are built on it: u = ½ + atan2(z, x)/2π, that is θ =
+    /// 2πu − π.
     ThreeJs,
-    /// Blender's world, +Z up (objects in Blender's own coordinates, as in NeRF-synthetic sets): u
-    /// = ½ − atan2(y, x)/2π, v = ½ − asin(z)/π.
+    /// Blender's world, +Z up (objects in Blender's own coordinates, as in NeRF-synthetic sets): u =
+    /// ½ − atan2(y, x)/2π, v = ½ − asin(z)/π.
     Blender,
     /// Blender's world for an object exported with "+Y up" (glTF's default), which maps (x, y, z)
     /// to (x, z, −y); the result is the same as in three.js.

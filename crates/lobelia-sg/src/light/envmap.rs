@@ -34,8 +34,8 @@ impl EnvironmentMap {
         map
     }
 
-    /// Unit direction of (`u`, `v`), each in `[0, 1]`: (cos θ sin φ, cos φ, sin θ sin φ), φ = πv, θ
-    /// = 2πu − π/2.
+    /// Unit direction of (`u`, `v`), each in `[0, 1]`: (cos θ sin φ, cos φ, sin θ sin φ), φ = πv, θ =
+    /// 2πu − π/2.
     pub fn direction(u: f64, v: f64) -> Vec3 {
         Self::direction_of(u, (PI * v).sin_cos())
     }

@@ -6,8 +6,7 @@ use super::integral::cosine_integral;
 use super::point::{PointTerms, SHRUNK, prepare_point};
 use super::sharp::{self, SHARP, SharpnessTerms, sharpness_terms};
 use crate::real::{Real, Vec3Of, dot, scale, sub};
-use crate::sg::Dual;
-use crate::sg::{Lobe, Shape};
+use crate::sg::{Dual, Lobe, Shape};
 use std::f64::consts::PI;
 
 /// E(λ, c) for any sharpness: from `terms` where λ ≥ [`SHARP`], by the unmodified formulas for

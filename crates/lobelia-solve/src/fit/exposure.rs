@@ -14,8 +14,7 @@ use lobelia_sg::statistics::quantile;
 use lobelia_world::light::placement::LightGroup;
 use lobelia_world::pipeline::SystemResult;
 use lobelia_world::sample::Samples;
-use lobelia_world::sample::pixel::SATURATION;
-use lobelia_world::sample::pixel::{Observed, PixelOf};
+use lobelia_world::sample::pixel::{Observed, PixelOf, SATURATION};
 use serde::{Deserialize, Serialize};
 
 /// Decay factor of the sums, per window.

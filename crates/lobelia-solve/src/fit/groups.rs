@@ -8,8 +8,7 @@
 
 use crate::fit::run::{entities, remove_from};
 use crate::{fit::components::LobeMoments, visibility::ObjectVisibility};
-use bevy_ecs::prelude::Without;
-use bevy_ecs::prelude::{Component, Entity, With, World};
+use bevy_ecs::prelude::{Component, Entity, With, Without, World};
 use lobelia_geometry::view::{ByView, Placement, ViewIndex};
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::groups::{group_light, light_groups};

@@ -26,9 +26,8 @@ use lobelia_world::light::placement::{LightGroup, PlacedFrame};
 use lobelia_world::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, USUAL_ALBEDO, recovered_albedo, recovered_materials,
 };
-use lobelia_world::sample::Observation;
 use lobelia_world::sample::point::SurfacePoint;
-use lobelia_world::sample::{Observations, light_rotations};
+use lobelia_world::sample::{Observation, Observations, light_rotations};
 use lobelia_world::{light::groups::light_groups, light::lights::LobeOf, material::sheen::write_albedo};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -573,8 +572,7 @@ mod tests {
     use super::*;
     use lobelia_sg::fibonacci::{fibonacci_axes, spacing_sharpness};
     use lobelia_sg::ray::TexelAddress;
-    use lobelia_world::sample::pixel::Observed;
-    use lobelia_world::sample::pixel::PixelOf;
+    use lobelia_world::sample::pixel::{Observed, PixelOf};
 
     #[test]
     fn a_part_of_the_surface_has_all_pixels_of_its_places() {

@@ -9,20 +9,17 @@ use lobelia_geometry::error::stop::check_interrupted;
 use lobelia_geometry::view::{ByView, Camera, Photograph, StoredMask, ViewIndex};
 use lobelia_geometry::view::{PixelWindow, Split, ViewMask, glare_limit, raster::FULL_COVERAGE};
 use lobelia_geometry::{Error, Result};
-use lobelia_sg::ray::Intersect;
-use lobelia_sg::ray::TexelAddress;
+use lobelia_sg::ray::{Intersect, TexelAddress};
 use lobelia_world::light::placement::Placements;
 use lobelia_world::material::{TexelIndex, Texels};
 use lobelia_world::pipeline::pool::Pool;
 use lobelia_world::pipeline::{Phase, Pipeline, SystemResult};
-use lobelia_world::sample::pixel::{ImageGradient, SATURATION, SampleIndex};
-use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay};
+use lobelia_world::sample::pixel::{ImageGradient, Observed, PixelOf, SATURATION, SampleIndex, ViewRay};
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
 use lobelia_world::sample::{
-    FitSample, FrameSample, Observations, ObservedGradient, ObservedWindow, despawn_observations,
-    despawn_pool,
+    FitSample, FrameSample, Observation, ObservationIndex, Observations, ObservedGradient, ObservedWindow,
+    Samples, despawn_observations, despawn_pool,
 };
-use lobelia_world::sample::{Observation, ObservationIndex, Samples};
 use rand::{RngExt, SeedableRng, rngs::SmallRng, seq::SliceRandom};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -455,8 +452,7 @@ fn even_share(counts: &[u32], most: usize) -> (u32, usize) {
 mod tests {
     use super::*;
     use crate::shape::test_support::Wall;
-    use glam::Affine3A;
-    use glam::Vec3;
+    use glam::{Affine3A, Vec3};
     use lobelia_geometry::view::{Image, Mask, Split};
     use lobelia_world::pipeline::Stage;
 

@@ -20,8 +20,7 @@ use crate::{fit::exposure::Exposures, fit::loss::radiance, visibility::WindowVis
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, With, World};
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
-use glam::{DMat3, Quat};
-use glam::{DVec3, Mat3, UVec3, Vec3};
+use glam::{DMat3, DVec3, Mat3, Quat, UVec3, Vec3};
 use lobelia_geometry::Result;
 use lobelia_geometry::error::stop::check_interrupted;
 use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
@@ -31,8 +30,9 @@ use lobelia_sg::shading::{
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, turning_axis};
 use lobelia_world::light::lights::IncidentLight;
-use lobelia_world::light::placement::{LightGroup, PlacedFrame, Placements};
-use lobelia_world::light::placement::{PlacementTurn, TurnSource, light_from_world};
+use lobelia_world::light::placement::{
+    LightGroup, PlacedFrame, PlacementTurn, Placements, TurnSource, light_from_world,
+};
 use lobelia_world::material::material_source::BaseMaterials;
 use lobelia_world::material::recovered_albedo;
 use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Stage, SystemResult};

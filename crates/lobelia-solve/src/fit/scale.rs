@@ -16,8 +16,7 @@
 
 use crate::fit::components::{AdamStep, Moments, StepRates, TexelSeen, Unknowns};
 use crate::fit::metal::{Metals, metalness};
-use bevy_ecs::prelude::DetectChangesMut;
-use bevy_ecs::prelude::{Query, Res, ResMut, Resource, World};
+use bevy_ecs::prelude::{DetectChangesMut, Query, Res, ResMut, Resource, World};
 use glam::{DVec3, Vec3, Vec4};
 use lobelia_geometry::Result;
 use lobelia_sg::sg::sphere_integral;

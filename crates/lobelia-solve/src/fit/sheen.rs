@@ -15,8 +15,7 @@ use crate::fit::components::{AdamStep, AlbedoGradient, AlbedoMoments, Moments, S
 use crate::fit::{exposure::Exposures, loss::radiance, systems::moved_color};
 use bevy_ecs::prelude::{Component, Res, ResMut, Resource, With, World};
 use glam::Vec3;
-use lobelia_geometry::view::Split;
-use lobelia_geometry::view::{Camera, Photograph, ViewIndex};
+use lobelia_geometry::view::{Camera, Photograph, Split, ViewIndex};
 use lobelia_sg::shading::{Layers, PointAdjoint, ShadePoint};
 use lobelia_world::material::sheen::{KnownAlong, grazing, has_sheen};
 use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, TexelIndex, Texels};

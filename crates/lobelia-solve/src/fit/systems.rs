@@ -16,20 +16,18 @@ use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut};
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
 use glam::Vec3;
-use lobelia_sg::shading::{CHUNK, RadianceColumns, ShadeCall, SharedGradient, SpecularAdjoint};
 use lobelia_sg::shading::{
-    ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, PointAdjoint, PointVisibility,
-    RadianceAdjoint, ShadePoint, SpecularValue,
+    CHUNK, ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, PointAdjoint, PointVisibility,
+    RadianceAdjoint, RadianceColumns, ShadeCall, ShadePoint, SharedGradient, SpecularAdjoint, SpecularValue,
 };
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::lights::IncidentLight;
 use lobelia_world::material::material_source::BaseMaterials;
 use lobelia_world::material::{BaseMaterial, DiffuseAlbedo, SpecularLobe, Texels};
 use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::LightRotations;
-use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{Observed, PixelOf};
 use lobelia_world::sample::point::{PointBlend, SurfacePoint};
+use lobelia_world::sample::{LightRotations, Samples};
 use rayon::prelude::*;
 
 /// Range of roughness in a fit; highlights of lower roughness are too narrow for single precision

@@ -16,8 +16,7 @@
 use crate::shape::hull::extract_parts;
 use crate::shape::shell::{Plate, Shell, area_vector};
 use crate::shape::silhouette::{Sighting, Silhouette};
-use glam::IVec3;
-use glam::{UVec3, Vec2, Vec3};
+use glam::{IVec3, UVec3, Vec2, Vec3};
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_geometry::mesh::triangles::{Side, sorted_sides};

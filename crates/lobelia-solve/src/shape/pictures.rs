@@ -3,12 +3,10 @@
 
 use crate::fit::loss::coded_luminance;
 use crate::shape::silhouette::{Silhouette, pixel_size};
-use glam::Vec3;
-use glam::Vec3A;
+use glam::{Vec3, Vec3A};
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::view::PixelWindow;
-use lobelia_geometry::view::{Camera, Photograph, Placement, StoredMask, ViewIndex};
+use lobelia_geometry::view::{Camera, Photograph, PixelWindow, Placement, StoredMask, ViewIndex};
 use lobelia_sg::color::srgb_from_linear;
 use lobelia_sg::ray::Ray;
 use lobelia_sg::statistics::median;

@@ -3,10 +3,8 @@
 use crate::shape::{pictures::TrainingView, silhouette::Silhouette};
 use glam::Vec3;
 use lobelia_geometry::sdf::SdfGrid;
-use lobelia_geometry::view::{Camera, Photograph, Placement, StoredMask, ViewIndex};
-use lobelia_geometry::view::{Image, Mask};
-use lobelia_sg::ray::Ray;
-use lobelia_sg::ray::{Hit, Intersect, TexelAddress};
+use lobelia_geometry::view::{Camera, Image, Mask, Photograph, Placement, StoredMask, ViewIndex};
+use lobelia_sg::ray::{Hit, Intersect, Ray, TexelAddress};
 use rayon::prelude::*;
 
 pub(crate) fn around(count: usize, distance: f32, size: u32) -> Vec<Camera> {

@@ -1,7 +1,7 @@
 //! Shadows and interreflection in closed-form shading: occlusion by other parts of the object, and
 //! light that they reflect.
 //!
-//! A separate capability in [`Slot::Visibility`](lobelia_world::pipeline::Slot::Visibility);
+//! A separate capability in [`Slot::Visibility`];
 //! without it all light reaches every point.
 //!
 //! | module | holds |
@@ -24,16 +24,16 @@ pub(crate) mod occlusion;
 mod point_visibility;
 pub mod texel_visibility;
 
-use bevy_ecs::prelude::{Changed, Or, SystemCondition};
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World};
+use bevy_ecs::prelude::{
+    Changed, IntoScheduleConfigs, Or, Query, Res, ResMut, Resource, SystemCondition, World,
+};
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
 use lobelia_sg::shading::PointVisibility;
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::lights::IncidentLight;
-use lobelia_world::material::material_source::BaseMaterials;
 use lobelia_world::material::material_source::{
-    ColumnOf, Holds, MaterialSource, MaterialTexels, RecoveredMaterial, ShownMaterial,
+    BaseMaterials, ColumnOf, Holds, MaterialSource, MaterialTexels, RecoveredMaterial, ShownMaterial,
 };
 use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe};
 use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};

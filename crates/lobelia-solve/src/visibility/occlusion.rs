@@ -7,8 +7,7 @@
 //! two directions.
 
 use crate::visibility::texel_visibility::{TOGETHER, TexelVisibility};
-use fearless_simd::Simd;
-use fearless_simd::{Level, dispatch};
+use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
 use lobelia_sg::lanes::{Lanes, MAX_LANES, Row};
 use lobelia_sg::real::{Real, dot};

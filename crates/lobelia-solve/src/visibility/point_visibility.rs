@@ -7,8 +7,7 @@
 
 use crate::visibility::occlusion::{Bounce, Cones, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe, widened};
 use crate::visibility::texel_visibility::{MAX_DIRECTIONS, OFFSET, TOGETHER, TexelVisibility};
-use fearless_simd::Simd;
-use fearless_simd::{Level, dispatch};
+use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
 use lobelia_sg::ray::Intersect;
 use lobelia_sg::real::{Real, dot};

@@ -57,7 +57,7 @@ impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
     /// # Errors
     /// If rows are missing or duplicate.
     pub fn columns(self) -> Result<D::Slices<'w>> {
-        self.select(|count| 0..count, true)
+        self.select(None, true)
     }
 
     /// The columns of some rows. Writing does not mark them as changed: use this for data that
@@ -67,24 +67,15 @@ impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
     /// If one of these rows is missing, or duplicate where no table has all of them in order: if
     /// one does, no other table is searched.
     pub fn rows(self, rows: Range<usize>) -> Result<D::Slices<'w>> {
-        self.select(|_| rows, false)
+        self.select(Some(rows), false)
     }
 
-    /// The columns of the rows that `choose` returns for the length of the pool; otherwise like
-    /// [`Self::rows`].
-    ///
-    /// # Errors
-    /// The errors of [`Self::rows`].
-    pub fn rows_of(self, choose: impl FnOnce(usize) -> Range<usize>) -> Result<D::Slices<'w>> {
-        self.select(choose, false)
-    }
-
-    /// Columns of rows: slices of the table if it has them in order, else copies.
-    fn select(self, choose: impl FnOnce(usize) -> Range<usize>, marks: bool) -> Result<D::Slices<'w>> {
+    /// Columns of rows, or of all: slices of the table if it has them in order, else copies.
+    fn select(self, rows: Option<Range<usize>>, marks: bool) -> Result<D::Slices<'w>> {
         // The parts of the pool in each table.
         let chunks = self.query.contiguous_iter_inner().map_err(|error| failed::<I>(error.to_string()))?;
         let mut chunks: Vec<_> = chunks.filter(|(index, _)| !index.is_empty()).collect();
-        let rows = choose(chunks.iter().map(|(index, _)| index.len()).sum());
+        let rows = rows.unwrap_or_else(|| 0..chunks.iter().map(|(index, _)| index.len()).sum());
         if let Some(only) = chunks.iter().position(|(index, _)| in_order(index, &rows)) {
             // The other chunks, if any, have none of these rows, or duplicates of them, which are
             // not searched for.

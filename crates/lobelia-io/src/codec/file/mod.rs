@@ -9,8 +9,10 @@ mod folder;
 mod write;
 
 pub use folder::{FileUse, FolderLock, LOCK, check_apart, check_not_among, check_writable, lies_in};
-pub use write::{check_file_name, check_finite, file_stems, write_bytes, write_file};
-pub use write::{clear_scratch, is_unfinished, scratch_folder};
+pub use write::{
+    check_file_name, check_finite, clear_scratch, file_stems, is_unfinished, scratch_folder, write_bytes,
+    write_file,
+};
 pub(crate) use write::{folder_of, not_written};
 
 use faults::{Call, meet};

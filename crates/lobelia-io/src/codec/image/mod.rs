@@ -12,10 +12,12 @@ mod linear;
 mod tiff_file;
 
 pub(crate) use format::has_extension;
-pub use format::{Format, IMAGE_EXTENSIONS, ImageHeader, ImageSamples, Orientation};
-pub use format::{is_unread_name, is_video_start};
-pub use linear::{BRIGHTEST, Gamma, LoadedImage, Repairs};
-pub use linear::{decode_photograph, linear_image, read_image, read_mask};
+pub use format::{
+    Format, IMAGE_EXTENSIONS, ImageHeader, ImageSamples, Orientation, is_unread_name, is_video_start,
+};
+pub use linear::{
+    BRIGHTEST, Gamma, LoadedImage, Repairs, decode_photograph, linear_image, read_image, read_mask,
+};
 
 use crate::codec::file::{DiskFile, first_bytes, open};
 use crate::codec::{exr::decode_exr_picture, exr::exr_header, nearby::missing_file_help};

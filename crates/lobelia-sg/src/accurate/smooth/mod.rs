@@ -11,8 +11,8 @@
 //!
 //! A lobe is smooth if the light's curvature is at least [`ring::LEAST_SG`] or [`ring::LEAST_GGX`]
 //! times that of the BRDF. With the chart of half vectors of `accurate/specular.rs` the light's is
-//! 2λ(1 + v·ξ); the BRDF's is that of D, to which the square of its logarithm's slope is added, L(1
-//! + L|X|²/2) for an SG and L/(1 + L|X|²/4) for GGX, both with the bound 4|X|² ≥ |ξ − r|² for the
+//! 2λ(1 + v·ξ); the BRDF's is that of D, to which the square of its logarithm's slope is added, L(1 +
+//! L|X|²/2) for an SG and L/(1 + L|X|²/4) for GGX, both with the bound 4|X|² ≥ |ξ − r|² for the
 //! mirror direction r, plus [`ring::REST`] for all that is not D. A shadowing term of small k falls
 //! steeply just above the horizon: where k√λ is small, all of the lobe must lie above it.
 

@@ -192,8 +192,8 @@ impl Scatterer {
     }
 }
 
-/// The power heuristic (Veach and Guibas 1995), the weight of a direction drawn with density `own`
-/// > 0, which another strategy would draw with density `other`: own²/(own² + other²), computed from
+/// The power heuristic (Veach and Guibas 1995), the weight of a direction drawn with density `own` >
+/// 0, which another strategy would draw with density `other`: own²/(own² + other²), computed from
 /// the ratio so that no square overflows.
 #[inline]
 pub fn power_heuristic(own: f32, other: f32) -> f32 {

@@ -12,8 +12,7 @@
 
 use super::radiance_field::{FieldRay, FieldRays, RadianceField, depth, march};
 use crate::shape::{cube, flood, neighbors, size};
-use glam::Vec4Swizzles;
-use glam::{Vec3, Vec4};
+use glam::{Vec3, Vec4, Vec4Swizzles};
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::sdf::SdfGrid;
 use rayon::prelude::*;

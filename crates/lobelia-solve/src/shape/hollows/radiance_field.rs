@@ -6,8 +6,8 @@
 //! lies along its rays, and what many rays agree on becomes dense. Colors do not depend on the
 //! direction of view: that would explain a lid as well as what is seen through it.
 //!
-//! With the density of a sample σ = softplus(s) per cell and the step Δ in cells, its opacity is α
-//! = 1 − exp(−σΔ), what reaches it T = Π (1 − α) over the samples before it, and the color of the
+//! With the density of a sample σ = softplus(s) per cell and the step Δ in cells, its opacity is α =
+//! 1 − exp(−σΔ), what reaches it T = Π (1 − α) over the samples before it, and the color of the
 //! ray Σ T α c.
 //!
 //! Sources: Max, "Optical Models for Direct Volume Rendering", TVCG 1995; direct optimization of a
@@ -16,8 +16,7 @@
 //! CVPR 2022); Adam (Kingma and Ba, ICLR 2015).
 
 use crate::shape::{neighbors, pictures::ColorPicture, size};
-use glam::Vec4Swizzles;
-use glam::{UVec3, Vec3, Vec4};
+use glam::{UVec3, Vec3, Vec4, Vec4Swizzles};
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::sdf::SdfGrid;
 use lobelia_sg::ray::Ray;

@@ -2,16 +2,13 @@ use super::*;
 use crate::fit::components::{StepRates, Unknowns};
 use crate::fit::loss::{Loss, radiance};
 use crate::fit::{ObjectTurned, guard::StepGuard, observe::PixelChoice, run::FitPlugin, scale::ScaleRule};
-use crate::{shade::systems::kernel_specular, shape::test_support::Pictures};
-use bevy_ecs::prelude::Entity;
-use bevy_ecs::prelude::Res;
-use bevy_ecs::prelude::ResMut;
+use crate::shade::systems::kernel_specular;
+use bevy_ecs::prelude::{Entity, Res, ResMut};
+use lobelia_geometry::view::{Image, Mask, StoredMask};
 use lobelia_sg::brdf::Ndf;
 use lobelia_sg::fibonacci::{fibonacci_axes, spacing_sharpness};
-use lobelia_sg::shading::ClosedForm;
-use lobelia_sg::shading::Layers;
-use lobelia_sg::shading::LobeColumns;
-use lobelia_sg::shading::ShadePoint;
+use lobelia_sg::ray::Intersect;
+use lobelia_sg::shading::{ClosedForm, Layers, LobeColumns, ShadePoint};
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::material::SpecularLobe;
@@ -39,24 +36,39 @@ fn lobes() -> Vec<LightLobe> {
     axes.map(lobe).collect()
 }
 
-/// Views of the dented ball in closed form: what the fit's own model can explain.
+/// A view of the dented ball in closed form: what the fit's own model can explain.
+fn photograph(surface: &SdfSurface, camera: &Camera) -> (Photograph, StoredMask) {
+    let point = |pixel: u32| {
+        let ray = camera.pixel_ray(pixel);
+        surface.intersect(&ray, 0.0).map_or(ShadePoint::default(), |hit| ShadePoint {
+            normal: hit.normal.into(),
+            to_viewer: (-ray.direction).into(),
+            albedo: [0.5, 0.4, 0.3],
+        })
+    };
+    let points: Vec<ShadePoint> = (0..SIZE * SIZE).map(point).collect();
+    let columns = LobeColumns::from_lobes(lobes().iter().map(Into::into));
+    let mut shaded = vec![Layers::default(); points.len()];
+    ClosedForm::default().shade(&points, &kernel_specular(&SPECULAR), &columns, &mut shaded);
+    let pixels = shaded.iter().map(radiance).collect();
+    let coverage = points.iter().map(|p| if p.is_missed() { 0.0 } else { 1.0 }).collect();
+    let image = Image { width: SIZE, height: SIZE, pixels };
+    (Photograph::of_image(&image), StoredMask::new(&Mask { width: SIZE, height: SIZE, coverage }))
+}
+
 fn world_of_photographs() -> Pipeline {
     let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 64, dented);
-    let columns = LobeColumns::from_lobes(lobes().iter().map(Into::into));
-    let shot = Pictures::new(Camera::around(32, 3.0, 36.0, SIZE).unwrap(), |_, ray| {
-        let normal = grid.gradient(ray.origin + ray.direction * grid.first_crossing(ray, 0.0)?).normalize();
-        let to_viewer = (-ray.direction).into();
-        let point = ShadePoint { normal: normal.into(), to_viewer, albedo: [0.5, 0.4, 0.3] };
-        let mut shaded = [Layers::default()];
-        ClosedForm::default().shade(&[point], &kernel_specular(&SPECULAR), &columns, &mut shaded);
-        Some(radiance(&shaded[0]))
-    });
+    let volume = TexelVolume::new(&grid, 16, 0.5);
+    let surface = SdfSurface { grid, volume, empty: None };
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FitPlugin);
-    let views = shot.cameras.into_iter().zip(shot.photographs).zip(shot.masks);
-    for (i, ((camera, photograph), mask)) in (0..).zip(views) {
+    for (i, axis) in fibonacci_axes(32).into_iter().enumerate() {
+        let up = if axis.y.abs() > 0.9 { Vec3::X } else { Vec3::Y };
+        let camera = Camera::look_at(3.0 * axis, Vec3::ZERO, up, 36.0, SIZE, SIZE).unwrap();
+        let (photograph, mask) = photograph(&surface, &camera);
         let name = ViewName(format!("{i}"));
-        pipeline.world.spawn((ViewIndex(i), name, camera, Split::Train, photograph, ViewMask(mask)));
+        let index = ViewIndex(i as u32);
+        pipeline.world.spawn((index, name, camera, Split::Train, photograph, ViewMask(mask)));
     }
     pipeline.world.spawn_batch(lobes());
     pipeline.world.spawn(SPECULAR);
