@@ -113,7 +113,7 @@ fn outliers_are_those_of_the_picture_that_is_scored() {
 const TABLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/scores.ron");
 const HEAD: &str = "\
 // Scores of the runs that `tests/scores.rs` names. The same instruction set gives the same bits;
-// others may differ by 0.05 dB or degrees, or 0.0005 of what has no unit. Write the table again
+// others may differ by 0.05 dB or degrees, or 0.0015 of what has no unit. Write the table again
 // with `LOBELIA_BLESS=1 cargo test scores_are_those`, and say why it changed.
 ";
 
@@ -164,7 +164,7 @@ fn scores_are_those_of_the_table() {
     let text = std::fs::read_to_string(TABLE).expect("LOBELIA_BLESS=1 writes the table");
     let table: Table = ron::from_str(&text).unwrap();
     assert!(scores.keys().eq(table.scores.keys()), "{scores:?}");
-    let steps = if table.instruction_set == own { 0.5 } else { 5.5 };
+    let steps = if table.instruction_set == own { 0.5 } else { 15.5 };
     let differs =
         |(name, score): &(&String, &f64)| (table.scores[*name] - **score).abs() > (steps + 1e-3) * step(name);
     let was = |(name, score): (&String, &f64)| format!("{name}: {score} was {}", table.scores[name]);
