@@ -24,7 +24,7 @@ fn gpu() -> Option<&'static Gpu> {
     let open = || match Gpu::open(None) {
         Ok(gpu) => Some(gpu),
         Err(error) if error == NO_ADAPTER => {
-            eprintln!("{error}: not tested");
+            eprintln!("skipped: {error}");
             None
         }
         Err(error) => panic!("{error}"),

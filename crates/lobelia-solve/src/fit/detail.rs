@@ -27,7 +27,6 @@ use crate::shade::frame::{add_gathering, add_material_resources, trace_samples};
 use crate::shade::shade_closed_form;
 use crate::visibility::{WindowVisibility, see_material};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World};
-use bytemuck::{Pod, Zeroable};
 use glam::{Mat2, Mat3, Vec2, Vec3};
 use half::f16;
 use lobelia_geometry::error::stop::is_stopping;
@@ -315,7 +314,7 @@ struct ShadedPixel {
 }
 
 /// A `ShadedPixel` in 40 bytes: numbers have 11 bits, places in a texel 16.
-#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub struct KeptPixel {
     /// The first texel of the upper and of the lower row.
