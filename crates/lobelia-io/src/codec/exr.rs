@@ -1,6 +1,7 @@
 //! Reading OpenEXR: channels of flat layers as `f32`, laid out on the display window.
 
-use crate::codec::{file::open, image::Format, image::ImageHeader, nearby::missing_file_help};
+use crate::codec::image::format::{Format, ImageHeader, MAX_DECODED_BYTES};
+use crate::codec::{file::open, nearby::missing_file_help};
 use exr::block::reader::{ChunksReader, Reader};
 use exr::meta::attribute::{IntegerBounds, SampleType};
 use exr::{error::Error as ExrError, math::Vec2, meta::header::Header, prelude::f16};
@@ -8,9 +9,6 @@ use glam::Vec3;
 use lobelia_geometry::{Error, Result};
 use std::io::{Read, Seek, SeekFrom};
 use std::{collections::BTreeMap, path::Path};
-
-/// Decoded size in bytes above which a file is refused.
-pub(super) const MAX_DECODED_BYTES: usize = 1 << 31;
 
 /// The channels of an EXR file.
 #[derive(Clone, Debug, Default, PartialEq)]

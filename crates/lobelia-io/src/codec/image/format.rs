@@ -1,9 +1,11 @@
 //! Formats of image files by their first bytes and names, what to do with those that are not read,
 //! what a header says, and samples.
 
-use crate::codec::exr::MAX_DECODED_BYTES;
 use lobelia_geometry::error::{Error, Result};
 use std::path::Path;
+
+/// Decoded size in bytes above which a file is refused.
+pub(crate) const MAX_DECODED_BYTES: usize = 1 << 31;
 
 /// File formats that can be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

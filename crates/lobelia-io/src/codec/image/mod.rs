@@ -7,7 +7,7 @@
 //!
 //! [`encode_jpeg`] and [`encode_png`] are for pictures in memory, such as those that a page holds.
 
-mod format;
+pub(crate) mod format;
 mod linear;
 mod tiff_file;
 
