@@ -6,14 +6,16 @@
 //! stay as they are.
 
 use crate::{pass::progress::Progress, prepare::work::make_folder_of};
-use image::{ImageDecoder, ImageError, ImageFormat, ImageReader, metadata::Orientation};
+use image::{ImageFormat, codecs::png::PngEncoder, metadata::Orientation};
 use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
-use lobelia_io::codec::file::{open, read_bytes, read_folder};
+use lobelia_io::codec::file::{read_bytes, read_folder};
 use lobelia_io::codec::image::Orientation::AsStored;
-use lobelia_io::codec::image::{IMAGE_EXTENSIONS, decode_samples, is_unread_name};
+use lobelia_io::codec::image::{
+    Format, IMAGE_EXTENSIONS, decode, decode_samples, exif_block, image_header, is_unread_name,
+};
 use lobelia_io::codec::nearby::{missing_file_help, natural_order};
 use rayon::prelude::*;
-use std::{collections::BTreeMap, collections::BTreeSet, fs, io::Cursor, path::Path, path::PathBuf};
+use std::{collections::BTreeMap, collections::BTreeSet, fs, path::Path, path::PathBuf};
 
 /// Fewest photographs that cameras can be found for.
 pub(super) const FEWEST: usize = 3;
@@ -41,11 +43,6 @@ pub(super) struct PhotographFile {
     pub is_deep: bool,
     /// Focal length of EXIF in hundredths of a millimeter.
     focal: Option<u32>,
-}
-
-/// The error for a photograph that cannot be decoded.
-fn damaged(path: &Path) -> impl Fn(ImageError) -> Error + '_ {
-    move |error| Error::input(path, "", format!("the photograph cannot be read: {error}"), DAMAGED_HELP)
 }
 
 /// Lists the photographs of a folder, its JPEG and PNG files, in natural order of their names;
@@ -126,30 +123,26 @@ fn conversion(extension: &str) -> String {
 }
 
 fn header(path: &Path) -> Result<PhotographFile> {
-    let reader = ImageReader::new(open(path, missing_file_help)?);
-    let reader = reader.with_guessed_format().map_err(Error::io("read", path))?;
-    let format = reader.format();
-    if format != ImageFormat::from_path(path).ok() {
-        let what = match format {
-            Some(ImageFormat::Jpeg) => "a JPEG",
-            Some(ImageFormat::Png) => "a PNG",
+    let header = image_header(path)?;
+    let named =
+        if ImageFormat::from_path(path).ok() == Some(ImageFormat::Png) { Format::Png } else { Format::Jpeg };
+    if header.format != named {
+        let what = match header.format {
+            Format::Jpeg => "a JPEG",
+            Format::Png => "a PNG",
             _ => "neither JPEG nor PNG",
         };
         let problem = format!("the file is not what its name says: it holds {what}");
         return Err(Error::input(path, "", problem, "Rename or convert it."));
     }
-    let mut decoder = reader.into_decoder().map_err(damaged(path))?;
-    let (width, height) = decoder.dimensions();
-    let chunk = decoder.exif_metadata().ok().flatten().unwrap_or_default();
-    let color = decoder.color_type();
     Ok(PhotographFile {
         source: path.to_owned(),
         name: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
-        size: [width, height],
-        orientation: Orientation::from_exif_chunk(&chunk).unwrap_or(Orientation::NoTransforms),
-        has_alpha: color.has_alpha(),
-        is_deep: color.bytes_per_pixel() > color.channel_count(),
-        focal: focal_length(chunk),
+        size: [header.width, header.height],
+        orientation: Orientation::from_exif(header.exif).unwrap_or(Orientation::NoTransforms),
+        has_alpha: header.has_alpha(),
+        is_deep: header.bits > 8,
+        focal: focal_length(exif_block(path)?),
     })
 }
 
@@ -219,14 +212,17 @@ fn link(from: &Path, to: &Path) -> Result<()> {
 fn unturned(path: &Path) -> Result<Vec<u8>> {
     let mut bytes = read_bytes(path, missing_file_help)?;
     if !bytes.starts_with(&[0xff, 0xd8]) {
-        let mut written = Cursor::new(Vec::new());
-        let pixels = image::load_from_memory(&bytes).map_err(damaged(path))?;
-        pixels.write_to(&mut written, ImageFormat::Png).map_err(damaged(path))?;
-        return Ok(written.into_inner());
+        let mut written = Vec::new();
+        let wrong = |problem: String| Error::input(path, "", problem, DAMAGED_HELP);
+        let pixels = decode(&bytes).map_err(|error| wrong(error.to_string()))?;
+        let encoded = pixels.write_with_encoder(PngEncoder::new(&mut written));
+        encoded.map_err(|error| wrong(format!("the photograph cannot be written anew: {error}")))?;
+        return Ok(written);
     }
-    let decoder = ImageReader::with_format(Cursor::new(&bytes), ImageFormat::Jpeg).into_decoder();
-    let chunk = decoder.and_then(|mut decoder| decoder.exif_metadata()).map_err(damaged(path))?;
-    let Some(chunk) = chunk.filter(|chunk| !chunk.is_empty()) else { return Ok(bytes) };
+    let chunk = exif_block(path)?;
+    if chunk.is_empty() {
+        return Ok(bytes);
+    }
     let mut reset = chunk.clone();
     let turned = Orientation::remove_from_exif_chunk(&mut reset).is_some();
     let at = bytes.windows(chunk.len()).position(|window| window == chunk);

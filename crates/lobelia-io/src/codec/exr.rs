@@ -1,5 +1,6 @@
 //! Reading OpenEXR: channels of flat layers as `f32`, laid out on the display window.
 
+use crate::codec::image::Source;
 use crate::codec::image::format::{Format, ImageHeader, MAX_DECODED_BYTES};
 use crate::codec::{file::open, nearby::missing_file_help};
 use exr::block::reader::{ChunksReader, Reader};
@@ -7,7 +8,7 @@ use exr::meta::attribute::{IntegerBounds, SampleType};
 use exr::{error::Error as ExrError, math::Vec2, meta::header::Header, prelude::f16};
 use glam::Vec3;
 use lobelia_geometry::{Error, Result};
-use std::io::{Read, Seek, SeekFrom};
+use std::io::SeekFrom;
 use std::{collections::BTreeMap, path::Path};
 
 /// The channels of an EXR file.
@@ -57,7 +58,7 @@ fn picture<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Option<Vec<&'a s
 ///
 /// # Errors
 /// As for [`read_exr_layers`]; also if there is no picture, that is, no channels R, G, B or Y.
-pub(crate) fn exr_header(path: &Path, source: impl Read + Seek) -> Result<ImageHeader> {
+pub(crate) fn exr_header<'p>(path: &'p Path, source: Box<dyn Source + 'p>) -> Result<ImageHeader> {
     Contents::open(path, source)?.picture().map(|(header, _)| header)
 }
 
@@ -65,7 +66,7 @@ pub(crate) fn exr_header(path: &Path, source: impl Read + Seek) -> Result<ImageH
 ///
 /// # Errors
 /// As for [`exr_header`].
-pub(crate) fn decode_exr_picture(path: &Path, source: impl Read + Seek) -> Result<Vec<f32>> {
+pub(crate) fn decode_exr_picture<'p>(path: &'p Path, source: Box<dyn Source + 'p>) -> Result<Vec<f32>> {
     let contents = Contents::open(path, source)?;
     let (_, places) = contents.picture()?;
     Ok(contents.read(&[places])?.swap_remove(0))
@@ -78,7 +79,7 @@ pub(crate) fn decode_exr_picture(path: &Path, source: impl Read + Seek) -> Resul
 /// chroma-subsampled, or empty.
 pub fn read_exr_layers(path: impl AsRef<Path>) -> Result<ExrLayers> {
     let path = path.as_ref();
-    let contents = Contents::open(path, open(path, missing_file_help)?)?;
+    let contents = Contents::open(path, Box::new(open(path, missing_file_help)?))?;
     let [width, height] = contents.size().map(|side| side as u32);
     let (names, places): (Vec<String>, Vec<Vec<Place>>) =
         contents.channels.iter().map(|(name, place)| (name.clone(), vec![*place])).unzip();
@@ -92,7 +93,7 @@ pub fn read_exr_layers(path: impl AsRef<Path>) -> Result<ExrLayers> {
 /// # Errors
 /// As for [`read_exr_layers`]; also if a channel is missing.
 pub(crate) fn read_exr_groups(path: &Path, groups: &[&[&str]]) -> Result<([usize; 2], Vec<Vec<f32>>)> {
-    let contents = Contents::open(path, open(path, missing_file_help)?)?;
+    let contents = Contents::open(path, Box::new(open(path, missing_file_help)?))?;
     let place = |name: &&str| {
         contents.channels.get(*name).copied().ok_or_else(|| {
             let problem = format!("has no channel {name}; it has {}", contents.names());
@@ -107,16 +108,16 @@ pub(crate) fn read_exr_groups(path: &Path, groups: &[&[&str]]) -> Result<([usize
 type Place = (usize, usize);
 
 /// An EXR whose headers are read and checked; the pixels follow.
-struct Contents<'p, R> {
+struct Contents<'p> {
     path: &'p Path,
-    reader: Reader<R>,
+    reader: Reader<Box<dyn Source + 'p>>,
     window: IntegerBounds,
     /// By full name. Of several channels of one name it is the first.
     channels: BTreeMap<String, Place>,
 }
 
-impl<'p, R: Read + Seek> Contents<'p, R> {
-    fn open(path: &'p Path, mut source: R) -> Result<Self> {
+impl<'p> Contents<'p> {
+    fn open(path: &'p Path, mut source: Box<dyn Source + 'p>) -> Result<Self> {
         let file_bytes = source.seek(SeekFrom::End(0)).map_err(Error::io("read", path))?;
         source.rewind().map_err(Error::io("read", path))?;
         let reader = exr::block::read(source, false).map_err(|error| exr_error(path, &error))?;
@@ -318,9 +319,9 @@ mod tests {
         assert_eq!(layers.channels["one.R"], [2.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
         assert_eq!(layers.channels["two.B"], [0.0, 0.0, 0.0, 0.0, 0.0, 5.0]);
         assert!(layers.channels.keys().eq(["one.B", "one.G", "one.R", "two.B", "two.G", "two.R"]));
-        let samples = decode_exr_picture(&path, Cursor::new(&bytes)).unwrap();
+        let samples = decode_exr_picture(&path, Box::new(Cursor::new(&bytes))).unwrap();
         assert_eq!(samples[..6], [2.0, 2.0, 2.0, 0.0, 0.0, 0.0]);
-        let header = exr_header(&path, Cursor::new(&bytes)).unwrap();
+        let header = exr_header(&path, Box::new(Cursor::new(&bytes))).unwrap();
         assert_eq!((header.width, header.height, header.channels, header.bits), (3, 2, 3, 32));
     }
 
@@ -328,7 +329,7 @@ mod tests {
     fn absurd_sizes_are_refused_before_memory_is_taken() {
         let window = IntegerBounds::new((0, 0), (60_000, 60_000));
         let bytes = file_of_parts(&[("a", Vec2(0, 0), 1.0)], window);
-        let error = exr_header(Path::new("huge.exr"), Cursor::new(&bytes)).unwrap_err();
+        let error = exr_header(Path::new("huge.exr"), Box::new(Cursor::new(&bytes))).unwrap_err();
         assert!(error.to_string().contains("60000×60000"), "{error}");
     }
 }

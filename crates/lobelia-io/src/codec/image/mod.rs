@@ -31,6 +31,10 @@ use lobelia_geometry::{Error, Result};
 use std::io::{BufRead, BufReader, Cursor, Read as _, Seek};
 use std::path::Path;
 
+/// Bytes that a decoder reads. Decoders are generic; of one type of source, each is compiled once.
+pub(crate) trait Source: BufRead + Seek {}
+impl<T: BufRead + Seek> Source for T {}
+
 /// A picture as a JPEG of this quality, 1 to 100.
 ///
 /// # Errors
@@ -117,27 +121,48 @@ fn read_header(path: &Path, file: &mut BufReader<DiskFile>) -> Result<ImageHeade
     let file_bytes = file.get_ref().file.metadata().map_err(Error::io("read", path))?.len();
     let format = recognize(path, &first_bytes(path, file, RECOGNIZED_BY)?)?;
     let header = match format {
-        Format::Jpeg => {
-            let [usual, most] = JPEG_HEADER_BYTES;
-            let mut read = |count| {
-                let start = Cursor::new(first_bytes(path, file, count)?);
-                decoder(path, format, start).map(|decoder| header_of(format, decoder))
-            };
-            read(usual).or_else(|_| read(most))?
-        }
         Format::Tiff => tiff_file::header(path, file)?,
-        Format::Exr => exr_header(path, file)?,
-        Format::Png | Format::Webp | Format::Hdr => header_of(format, decoder(path, format, file)?),
+        Format::Exr => exr_header(path, Box::new(file))?,
+        format => header_of(format, header_decoder(path, format, file)?),
     };
     check_size(path, &header, file_bytes)?;
     Ok(header)
+}
+
+/// Reads the EXIF block of a PNG, JPEG or WebP; it is empty if the file has none that can be read.
+///
+/// # Errors
+/// As for [`image_header`].
+pub fn exif_block(path: &Path) -> Result<Vec<u8>> {
+    let mut file = open(path, missing_file_help)?;
+    match recognize(path, &first_bytes(path, &mut file, RECOGNIZED_BY)?)? {
+        Format::Tiff | Format::Exr => Ok(Vec::new()),
+        format => {
+            let block = header_decoder(path, format, &mut file)?.exif_metadata();
+            Ok(block.ok().flatten().unwrap_or_default())
+        }
+    }
+}
+
+/// A decoder of a file at its beginning, for its header alone.
+fn header_decoder<'a>(
+    path: &Path,
+    format: Format,
+    file: &'a mut BufReader<DiskFile>,
+) -> Result<Box<dyn ImageDecoder + 'a>> {
+    if format != Format::Jpeg {
+        return decoder(path, format, Box::new(file));
+    }
+    let [usual, most] = JPEG_HEADER_BYTES;
+    let mut read = |count| decoder(path, format, Box::new(Cursor::new(first_bytes(path, file, count)?)));
+    read(usual).or_else(|_| read(most))
 }
 
 /// A decoder of the crate `image`, for formats that are not [`Format::Tiff`] or [`Format::Exr`].
 fn decoder<'a>(
     path: &Path,
     format: Format,
-    source: impl BufRead + Seek + 'a,
+    source: Box<dyn Source + 'a>,
 ) -> Result<Box<dyn ImageDecoder + 'a>> {
     let wrong = |error: ImageError| damaged(path, format, &error.to_string());
     Ok(match format {
@@ -153,7 +178,7 @@ fn decoder<'a>(
 }
 
 /// The header of a decoder's image.
-fn header_of(format: Format, mut decoder: impl ImageDecoder) -> ImageHeader {
+fn header_of(format: Format, mut decoder: Box<dyn ImageDecoder + '_>) -> ImageHeader {
     let ((width, height), color) = (decoder.dimensions(), decoder.color_type());
     let channels = usize::from(color.channel_count());
     let bits = u32::from(color.bytes_per_pixel()) * 8 / channels as u32;
@@ -201,13 +226,13 @@ pub fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -> Resul
     let header = read_header(path, &mut file)?;
     file.rewind().map_err(Error::io("read", path))?;
     let samples = match header.format {
-        Format::Tiff => tiff_file::decode(path, file, &header)?,
-        Format::Exr => ImageSamples::Floats(decode_exr_picture(path, file)?),
+        Format::Tiff => tiff_file::decode(path, &mut file, &header)?,
+        Format::Exr => ImageSamples::Floats(decode_exr_picture(path, Box::new(file))?),
         Format::Jpeg => {
             let bytes = Cursor::new(whole_jpeg(path, file)?);
-            samples_of(path, &header, decoder(path, header.format, bytes)?)?
+            samples_of(path, &header, decoder(path, header.format, Box::new(bytes))?)?
         }
-        format => samples_of(path, &header, decoder(path, format, file)?)?,
+        format => samples_of(path, &header, decoder(path, format, Box::new(file))?)?,
     };
     if orientation == Orientation::AsStored || !(2..=8).contains(&header.exif) {
         return Ok(Decoded { header, samples });
@@ -222,7 +247,11 @@ pub fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -> Resul
 }
 
 /// The samples of a decoder's image, if they are those of its header.
-fn samples_of(path: &Path, header: &ImageHeader, decoder: impl ImageDecoder) -> Result<ImageSamples> {
+fn samples_of(
+    path: &Path,
+    header: &ImageHeader,
+    decoder: Box<dyn ImageDecoder + '_>,
+) -> Result<ImageSamples> {
     let wrong = |why: &str| damaged(path, header.format, why);
     let samples = match DynamicImage::from_decoder(decoder).map_err(|error| wrong(&error.to_string()))? {
         DynamicImage::ImageLuma16(image) => ImageSamples::Words16(image.into_raw()),

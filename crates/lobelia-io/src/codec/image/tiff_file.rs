@@ -1,9 +1,10 @@
 //! TIFF: gray and RGB with and without alpha, 8 and 16 bit and float.
 
+use crate::codec::image::Source;
 use crate::codec::image::format::MAX_DECODED_BYTES;
 use crate::codec::image::format::{Format, ImageHeader, ImageSamples, damaged, raw};
 use lobelia_geometry::{Error, Result};
-use std::{io::Read, io::Seek, path::Path};
+use std::path::Path;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::{ExtraSamples, SampleFormat, Tag};
 use tiff::{ColorType, TiffError};
@@ -24,7 +25,7 @@ fn unsupported(path: &Path, what: &str) -> Error {
     Error::input(path, "", format!("this kind of TIFF is not read: {what}"), help)
 }
 
-fn open<R: Read + Seek>(path: &Path, source: R) -> Result<Decoder<R>> {
+fn open<'a>(path: &Path, source: &'a mut dyn Source) -> Result<Decoder<&'a mut dyn Source>> {
     let mut limits = Limits::default();
     limits.decoding_buffer_size = MAX_DECODED_BYTES;
     limits.intermediate_buffer_size = MAX_DECODED_BYTES;
@@ -32,7 +33,7 @@ fn open<R: Read + Seek>(path: &Path, source: R) -> Result<Decoder<R>> {
 }
 
 /// Reads the header of a TIFF at its beginning.
-pub(super) fn header(path: &Path, source: impl Read + Seek) -> Result<ImageHeader> {
+pub(super) fn header(path: &Path, source: &mut dyn Source) -> Result<ImageHeader> {
     let mut decoder = open(path, source)?;
     let wrong = |error: TiffError| wrong(path, &error);
     let is_reduced = decoder.find_tag_unsigned(Tag::NewSubfileType).map_err(wrong)?.unwrap_or(0u32) & 1 == 1;
@@ -65,7 +66,7 @@ pub(super) fn header(path: &Path, source: impl Read + Seek) -> Result<ImageHeade
 }
 
 /// Decodes a TIFF at its beginning, which has this header.
-pub(super) fn decode(path: &Path, source: impl Read + Seek, header: &ImageHeader) -> Result<ImageSamples> {
+pub(super) fn decode(path: &Path, source: &mut dyn Source, header: &ImageHeader) -> Result<ImageSamples> {
     let ImageHeader { width, height, channels, is_float, .. } = *header;
     let mut decoder = open(path, source)?;
     let wrong = |error: TiffError| wrong(path, &error);
