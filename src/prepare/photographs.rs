@@ -7,12 +7,12 @@
 
 use crate::{pass::progress::Progress, prepare::work::make_folder_of};
 use image::{ImageDecoder, ImageError, ImageFormat, ImageReader, metadata::Orientation};
+use lobelia_geometry::parallel;
 use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::file::{open, read_bytes, read_folder};
 use lobelia_io::codec::image::Orientation::AsStored;
 use lobelia_io::codec::image::{IMAGE_EXTENSIONS, decode_samples, is_unread_name};
 use lobelia_io::codec::nearby::{missing_file_help, natural_order};
-use rayon::prelude::*;
 use std::{collections::BTreeMap, collections::BTreeSet, fs, io::Cursor, path::Path, path::PathBuf};
 
 /// Fewest photographs that cameras can be found for.
@@ -181,7 +181,7 @@ pub(super) fn check_pixels(photographs: &[PhotographFile], progress: &dyn Progre
     };
     for group in photographs.chunks(at_once) {
         check_interrupted()?;
-        let decoded: Vec<Result<()>> = group.par_iter().map(decoded).collect();
+        let decoded: Vec<Result<()>> = parallel::map_slice(group, 1, decoded);
         decoded.into_iter().collect::<Result<()>>()?;
         bar.inc(group.len() as u64);
     }
