@@ -7,6 +7,7 @@ use glam::{Mat3, Quat, Vec3};
 use image::ExtendedColorType;
 use lobelia_geometry::mesh::tangents::{relative_normals, texel_frames, vertex_tangents};
 use lobelia_geometry::mesh::{Surface, atlas::fill_uncovered, atlas::unwrap_mesh, decimate::decimate};
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Camera, Placement, ViewName};
 use lobelia_geometry::{error::Result, mesh::nearest::NearestTriangle, mesh::triangles::Mesh};
 use lobelia_io::codec::gltf::material::{
@@ -21,7 +22,6 @@ use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::light::{EnvironmentMap, LightLobe, lights::own_lobes, render_lobes, rotate_lobes};
 use lobelia_world::material::{MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, edit::MaterialState};
 use lobelia_world::{light::convention::MapConvention, material::sheen::mean_albedo};
-use rayon::prelude::*;
 use std::{f32::consts::TAU, sync::Arc};
 
 /// Texture files of a USD file.
@@ -324,18 +324,21 @@ impl Object {
         let nearest = NearestTriangle::new(self.surface.mesh());
         let below = |at: &Vec3| nearest.nearest(*at).map(|found| self.surface.hit(found));
         let mut mesh = decimate(self.surface.mesh(), target);
-        let normals = mesh.positions.par_iter().map(|at| below(at).map_or(Vec3::Y, |hit| hit.normal));
-        mesh.normals = normals.collect();
+        let normal = |at: &Vec3| below(at).map_or(Vec3::Y, |hit| hit.normal);
+        mesh.normals = parallel::map_slice(&mesh.positions, 64, normal);
         let surface = Surface::new(unwrap_mesh(&mesh, size)?.mesh, size)?;
         let atlas = surface.atlas();
-        let hit = |(at, covered): (&Vec3, &bool)| covered.then(|| below(at)).flatten();
-        let hits: Vec<Option<Hit>> = atlas.position.par_iter().zip(&atlas.covered).map(hit).collect();
+        let mut hits: Vec<Option<Hit>> = vec![None; atlas.position.len()];
+        let texels = (&mut *hits, (&*atlas.position, &*atlas.covered));
+        parallel::for_each_row(texels, 1024, |(hit, (at, covered))| {
+            *hit = covered.then(|| below(at)).flatten();
+        });
         let full: Vec<Vec3> = hits.iter().map(|hit| hit.map_or(Vec3::ZERO, |hit| hit.normal)).collect();
         let frames = texel_frames(surface.mesh(), &vertex_tangents(surface.mesh()), atlas);
         let normals = relative_normals(&frames, &full);
         let carried = |values: &[Vec3]| {
             let at = |hit: &Option<Hit>| hit.map_or(Vec3::ZERO, |hit| hit.texels.blend(values));
-            let mut carried: Vec<Vec3> = hits.par_iter().map(at).collect();
+            let mut carried: Vec<Vec3> = parallel::map_slice(&hits, 1024, at);
             fill_uncovered(&mut carried, &atlas.covered, atlas);
             carried
         };
@@ -372,7 +375,7 @@ impl Object {
                     let roughness = blend.roughness(self.lobes.iter().map(|(number, lobe)| (*number, lobe)));
                     (roughness, table.at(roughness).fit(&target(blend), f90))
                 };
-                blends.par_iter().map(each).unzip()
+                parallel::map_slice(blends, 1024, each).into_iter().unzip()
             }
         };
         let share = |i: usize| dielectrics[i.min(dielectrics.len() - 1)].diffuse_share;

@@ -11,6 +11,7 @@ use bevy_ecs::prelude::{Component, Entity, With, World};
 use glam::{Quat, Vec3};
 use image::RgbImage;
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Frame, Split, ViewName, camera, camera::Camera};
 use lobelia_io::codec::film::{FFMPEG, write_film};
 use lobelia_io::codec::{exr_frame::write_frame_rows, file::file_stems, png_file::write_rgb8};
@@ -20,7 +21,6 @@ use lobelia_world::light::lights::{IncidentLight, provide_turned_light};
 use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditTarget};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 use lobelia_world::{light::placement::PicturePlacement, material::shown::show_edited, sample::despawn_pool};
-use rayon::prelude::*;
 use std::{collections::HashMap, path::PathBuf, sync::mpsc::sync_channel};
 use tracing::info_span;
 
@@ -210,13 +210,13 @@ fn encoded(
     let _writing = info_span!("pixels encoded").entered();
     // The radiance of the light behind each pixel.
     let light = world.get_resource::<IncidentLight>().and_then(|light| light.distant.clone());
-    let width = u64::from(camera.width);
-    let radiance = |at: u64| {
+    let width = camera.width as usize;
+    let radiance = |at: usize| {
         let (x, y) = ((at % width) as u32, first_row + (at / width) as u32);
         let ray = camera.ray(x as f32 + 0.5, y as f32 + 0.5);
         light.as_ref().map_or(Vec3::ZERO, |light| light.radiance(ray.direction))
     };
-    let all = || (0..rows.height as u64 * width).into_par_iter().map(radiance).collect::<Vec<_>>();
+    let all = || parallel::map(rows.height * width, 1024, radiance);
     let behind = settings.backdrop.then(all);
     rows.samples8(&look_of(settings), behind.as_deref().map_or(plain, Backdrop::Radiance))
 }

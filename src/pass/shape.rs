@@ -9,6 +9,7 @@ use glam::Vec3;
 use image::{Rgb, RgbImage};
 use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_stopping};
 use lobelia_geometry::mesh::{Surface, atlas::unwrap_mesh, triangles::Mesh};
+use lobelia_geometry::parallel;
 use lobelia_geometry::{sdf::extract::extract_mesh, sdf::volume::SdfSurface, view::AlbedoMap, view::Camera};
 use lobelia_io::codec::{gltf::export::write_glb, png_file::write_rgb8};
 use lobelia_sg::{accurate::Quality, ray::Hit, ray::Intersect};
@@ -24,7 +25,6 @@ use lobelia_solve::shape::{
 };
 use lobelia_solve::{fit::components::Unknowns, shape::hull::extract_parts, shape::systems::ShapeSchedule};
 use lobelia_world::{material::recovered_albedo, sample::point::Scenery};
-use rayon::prelude::*;
 use std::{ops::ControlFlow, path::Path, sync::Arc, time::Instant};
 use tracing::info_span;
 
@@ -316,8 +316,8 @@ fn look(folder: &Path, camera: Option<&Camera>, surface: &SdfSurface, step: u32)
     std::fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
     let path = |kind: &str, ending: &str| folder.join(format!("{kind}_{step:06}.{ending}"));
     if let Some(camera) = camera {
-        let pixels = (0..camera.width * camera.height).into_par_iter();
-        let hits: Vec<_> = pixels.map(|pixel| surface.intersect(&camera.pixel_ray(pixel), 0.0)).collect();
+        let hit = |pixel: usize| surface.intersect(&camera.pixel_ray(pixel as u32), 0.0);
+        let hits: Vec<_> = parallel::map((camera.width * camera.height) as usize, 1024, hit);
         let picture = |color: &dyn Fn(&Hit) -> [u8; 3]| {
             let pixel = |x: u32, y: u32| hits[(y * camera.width + x) as usize].as_ref().map_or([0; 3], color);
             RgbImage::from_fn(camera.width, camera.height, |x, y| Rgb(pixel(x, y)))

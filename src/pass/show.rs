@@ -5,6 +5,7 @@ use crate::pass::run::session::Session;
 use crate::scene::{ColorAction, Edit, Light, Pass, Region, RenderSettings, ScalarAction, Shading};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
+use lobelia_geometry::parallel;
 use lobelia_geometry::{error::Result, mesh::Surface, mesh::atlas::TexelAtlas, view::Placement};
 use lobelia_io::codec::texture::{read_texture, read_texture_mask};
 use lobelia_sg::shading::ClosedForm;
@@ -17,7 +18,6 @@ use lobelia_world::material::edit::{
 };
 use lobelia_world::material::shown::{recovered_material, show_edited, show_recovered};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
-use rayon::prelude::*;
 
 /// Swaps in the material, light, shading and visibility of a pass.
 pub(crate) fn show(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
@@ -165,7 +165,7 @@ pub fn edits_of_nothing(edits: &[Edit], surface: &Surface) -> Result<Vec<usize>>
 /// The weight of each texel; `None` means 1 everywhere.
 fn region_weights(region: &Region, atlas: &TexelAtlas) -> Result<Option<Vec<f32>>> {
     let each = |depth: &(dyn Fn(Vec3) -> f32 + Sync), falloff: f32| {
-        Some(atlas.position.par_iter().map(|p| weight_at(depth(*p), falloff)).collect::<Vec<f32>>())
+        Some(parallel::map_slice(&atlas.position, 1024, |p| weight_at(depth(*p), falloff)))
     };
     let around = |line: &[Vec3], radius, falloff| each(&|p| radius - distance_to_line(p, line), falloff);
     Ok(match region {

@@ -3,13 +3,13 @@
 use crate::report::scores::{EvalView, ViewOutcome};
 use crate::{pass::run::session::Session, survey::named};
 use bevy_ecs::prelude::{Entity, With};
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Camera, Photograph, Split, StoredMask, ViewIndex, ViewMask, ViewName};
 use lobelia_geometry::{error::Result, mesh::Surface};
 use lobelia_io::codec::file::write_bytes;
 use lobelia_sg::statistics::median;
 use lobelia_solve::fit::{guard::StepGuard, loss::ViewSum, loss::ViewSums, loss::is_outlier};
 use lobelia_world::light::{LightLobe, groups::other_lights, lights::own_lobes};
-use rayon::prelude::*;
 use std::fmt::Write as _;
 use std::{collections::HashMap, collections::HashSet, path::Path};
 
@@ -82,7 +82,7 @@ fn silhouettes(
         };
         (view, index, outcome)
     };
-    views.into_par_iter().map(outcome).collect()
+    parallel::map_items(views, outcome)
 }
 
 /// The surface beside a mask, at few pixels: of the mask's pixels the share that the surface

@@ -7,14 +7,13 @@
 
 use crate::{pass::progress::Progress, prepare::work::make_folder_of};
 use image::{ImageFormat, codecs::png::PngEncoder, metadata::Orientation};
-use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted, parallel};
 use lobelia_io::codec::file::{read_bytes, read_folder};
 use lobelia_io::codec::image::Orientation::AsStored;
 use lobelia_io::codec::image::{
     Format, IMAGE_EXTENSIONS, decode, decode_samples, exif_block, image_header, is_unread_name,
 };
 use lobelia_io::codec::nearby::{missing_file_help, natural_order};
-use rayon::prelude::*;
 use std::{collections::BTreeMap, collections::BTreeSet, fs, path::Path, path::PathBuf};
 
 /// Fewest photographs that cameras can be found for.
@@ -174,7 +173,7 @@ pub(super) fn check_pixels(photographs: &[PhotographFile], progress: &dyn Progre
     };
     for group in photographs.chunks(at_once) {
         check_interrupted()?;
-        let decoded: Vec<Result<()>> = group.par_iter().map(decoded).collect();
+        let decoded: Vec<Result<()>> = parallel::map_slice(group, 1, decoded);
         decoded.into_iter().collect::<Result<()>>()?;
         bar.inc(group.len() as u64);
     }

@@ -5,8 +5,8 @@
 //! the silhouette, which depend on coverage and not on material, are left out.
 
 use glam::{DVec3, Vec3};
+use lobelia_geometry::parallel;
 use lobelia_geometry::{Error, Result, view::raster::FULL_COVERAGE};
-use rayon::prelude::*;
 use std::ops::Range;
 
 /// The score of equal images, in dB: PSNR is clamped to it because JSON has no infinity (an RMS
@@ -139,7 +139,7 @@ pub(super) fn ssim_of(
     value: impl Fn(usize, usize) -> [f64; 2] + Sync,
 ) -> f64 {
     let of_channel = |channel: usize| plane_ssim(size, &counts, &|pixel| value(pixel, channel));
-    let channels: Vec<f64> = (0..3).into_par_iter().map(of_channel).collect();
+    let channels: Vec<f64> = parallel::map(3, 1, of_channel);
     channels.iter().sum::<f64>() / 3.0
 }
 

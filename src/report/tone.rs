@@ -4,12 +4,12 @@
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use glam::{Mat3, Vec3};
 use image::{GrayImage, Rgb, RgbImage, imageops::thumbnail};
+use lobelia_geometry::parallel;
 use lobelia_geometry::{Error, Result, view::Frame};
 use lobelia_io::codec::png_file::{self, PngRows};
 use lobelia_io::{codec::file::write_bytes, codec::image::encode_jpeg};
 use lobelia_sg::color::{linear_from_srgb, srgb_from_linear};
 use png::ColorType;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::{path::Path, sync::LazyLock};
 
@@ -157,9 +157,7 @@ impl<'a> Picture<'a> {
     }
 
     fn samples<const CHANNELS: usize>(&self, pixel: impl Fn(usize) -> [u8; CHANNELS] + Sync) -> Vec<u8> {
-        let mut pixels = vec![[0; CHANNELS]; self.width * self.height];
-        pixels.par_iter_mut().enumerate().with_min_len(4096).for_each(|(at, out)| *out = pixel(at));
-        pixels.into_flattened()
+        parallel::map(self.width * self.height, 4096, pixel).into_flattened()
     }
 
     /// The picture on the mat.

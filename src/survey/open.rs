@@ -6,6 +6,7 @@ use crate::survey::cameras::{BACKGROUND_SIDE, BACKGROUNDS, Background};
 use crate::survey::look::{MaskOrigin, SmallMask, ViewLook};
 use crate::{report::sheet::choose_evenly, survey::Survey, survey::examine};
 use glam::Vec3;
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Photograph, Split, ViewPriors, ViewRecord};
 use lobelia_geometry::{Result, mesh::primitive::box_mesh, mesh::primitive::sphere_mesh};
 use lobelia_io::codec::gltf::import::read_mesh;
@@ -14,7 +15,6 @@ use lobelia_io::dataset::{
     DatasetOptions, Layout, LoadedView, PlannedView, has_split, load_notes, open_dataset,
 };
 use lobelia_sg::color::luminance;
-use rayon::prelude::*;
 
 /// A scene's data set whose views are known and not read: training views, then test views.
 pub struct OpenScene<'a> {
@@ -119,7 +119,7 @@ pub fn survey(scene: &Scene) -> Result<Option<(Survey, Vec<ViewRecord>)>> {
         *priors = ViewPriors::default();
         Ok((look, loaded))
     };
-    let looked: Vec<Result<(ViewLook, LoadedView)>> = open.views.par_iter().map(look_at).collect();
+    let looked: Vec<Result<(ViewLook, LoadedView)>> = parallel::map_slice(&open.views, 1, look_at);
     let looked = looked.into_iter().collect::<Result<Vec<_>>>()?;
     let (looks, loaded): (Vec<ViewLook>, Vec<LoadedView>) = looked.into_iter().unzip();
     let mut survey = open.examine(looks)?;
@@ -135,7 +135,7 @@ fn backgrounds(planned: &[PlannedView], looks: &[ViewLook], gamma: Gamma) -> Res
         views.filter_map(|(view, look)| Some((view, &look.mask.as_ref()?.small))).collect();
     let chosen = choose_evenly(masked.len(), BACKGROUNDS);
     let read: Vec<Result<Option<Background>>> =
-        chosen.into_par_iter().map(|i| background(masked[i].0, masked[i].1, gamma)).collect();
+        parallel::map_slice(&chosen, 1, |i| background(masked[*i].0, masked[*i].1, gamma));
     Ok(read.into_iter().collect::<Result<Vec<_>>>()?.into_iter().flatten().collect())
 }
 

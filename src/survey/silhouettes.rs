@@ -6,10 +6,10 @@ use crate::survey::look::{SmallMask, ViewLook};
 use crate::survey::{Finding, Severity, named};
 use crate::{report::sheet::choose_evenly, survey::cameras::Sight, survey::cameras::meeting_point};
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
+use lobelia_geometry::parallel;
 use lobelia_geometry::{Result, mesh::bvh::TriangleBvh, sdf::SdfGrid, view::Split, view::StoredMask};
 use lobelia_sg::statistics::median;
 use lobelia_solve::{shape::hull::visual_hull, shape::silhouette::Silhouette};
-use rayon::prelude::*;
 
 /// Overlap (intersection over union) with a mesh, and with a hull, from which on no mistake is
 /// looked for. Seven sound sets of 32 to 100 views have 0.94 to 0.98 with their hulls; mirrored
@@ -133,7 +133,7 @@ pub(super) fn of_silhouettes(
         }
     };
     let overlap = |look: &ViewLook| look.mask.as_ref().map(|mask| shape.overlap(&mask.small));
-    looks.par_iter_mut().for_each(|look| look.overlap = overlap(look));
+    parallel::for_each(looks.iter_mut(), |look| look.overlap = overlap(look));
     let overlaps = looks.iter().filter_map(|look| Some((look.overlap?, look.name.clone())));
     let mut worst: Vec<(f32, String)> = overlaps.collect();
     worst.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -301,7 +301,7 @@ fn explained(mesh: Option<&TriangleBvh>, looks: &[ViewLook], middle: f32) -> Opt
     // The median overlap, 0 without a hull.
     let reached = |views: &[SmallMask]| {
         let shape = Shape::new(mesh, views.iter().map(|view| ("", view)), TRIED_CELLS).ok();
-        let found = shape.map(|shape| views.par_iter().map(|view| shape.overlap(view)).collect::<Vec<_>>());
+        let found = shape.map(|shape| parallel::map_slice(views, 1, |view| shape.overlap(view)));
         found.and_then(|mut found| median(&mut found)).unwrap_or(0.0)
     };
     let given = reached(&views);
@@ -382,8 +382,8 @@ fn placed(bvh: &TriangleBvh, views: &[SmallMask], turn: Mat3A) -> Option<Undoing
     for _ in 0..ROUNDS {
         let undoing = Undoing::Mesh { turn, scale, shift };
         // The box is seen in the mesh's own coordinates; its rays are those of the view as it is.
-        let rendered = |view: &SmallMask| spot(view, &Shape::Mesh(bvh).covered(&undoing.of(view)));
-        let spots: Vec<(Sight, f32)> = views.par_iter().filter_map(rendered).collect();
+        let rendered = |i: usize| spot(&views[i], &Shape::Mesh(bvh).covered(&undoing.of(&views[i])));
+        let spots: Vec<(Sight, f32)> = parallel::flat_map(views.len(), 1, rendered);
         let (seen, seen_size) = place(spots.into_iter())?;
         let factor = (size / seen_size).clamp(0.25, 4.0);
         // Around the place where it is seen, then to where it should be.

@@ -29,6 +29,7 @@ use crate::scene::{
 use crate::survey::{Severity, Survey, look::ViewLook, open::OpenScene};
 use crate::{scene::load::LoadedScene, spawn::SurfaceUse, spawn::load_light};
 use lobelia_geometry::error::stop::{check_interrupted, finish_stopping, stopped_by};
+use lobelia_geometry::parallel;
 use lobelia_geometry::{error::Error, error::Result, view::ViewRecord};
 use lobelia_io::codec::file::{FolderLock, check_writable, clear_scratch};
 use lobelia_io::dataset::load_notes;
@@ -36,7 +37,6 @@ use lobelia_solve::{fit::ObjectTurned, shade::device::ShadingDevice};
 use lobelia_world::checkpoint::Checkpoints;
 use preflight::Watched;
 use progress::{Moment, Progress, RecordedMessages};
-use rayon::prelude::*;
 use record::{Claim, RunRecord, RunState};
 use resume::RunStart;
 use session::Session;
@@ -358,17 +358,13 @@ fn read_views(
     let learns = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_) | Pass::Evaluate(_));
     let is_used = matches!(scene.surface, SurfaceSpec::Unknown { .. }) || scene.passes.iter().any(learns);
     let bar = progress.bar("photographs", data.views.len() as u64);
-    let read: Vec<Result<_>> = data
-        .views
-        .par_iter()
-        .map(|view| {
-            check_interrupted()?;
-            let loaded = data.load(view)?;
-            let look = is_used.then(|| data.look(view, &loaded));
-            bar.inc(1);
-            Ok((loaded, look))
-        })
-        .collect();
+    let read: Vec<Result<_>> = parallel::map_slice(&data.views, 1, |view| {
+        check_interrupted()?;
+        let loaded = data.load(view)?;
+        let look = is_used.then(|| data.look(view, &loaded));
+        bar.inc(1);
+        Ok((loaded, look))
+    });
     // The first error, in the order of the views, ends it.
     let (loaded, looks): (Vec<_>, Vec<_>) = read.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
     bar.finish_and_clear();

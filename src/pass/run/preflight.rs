@@ -16,6 +16,7 @@ use crate::spawn::light::{files_of, inlined};
 use crate::survey::open::OpenScene;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Frame, Photograph, Split, ViewName, ViewRecord};
 use lobelia_geometry::{error::Error, error::Result, mesh::Surface};
 use lobelia_io::codec::file::{FileUse, check_apart, check_not_among};
@@ -24,7 +25,6 @@ use lobelia_io::codec::{exr_frame::Layer, gltf::side_files, image::Gamma, nearby
 use lobelia_solve::fit::{cameras::CameraUnknowns, exposure::ExposureChoice};
 use lobelia_solve::shade::frame::{PixelSums, check_memory};
 use lobelia_world::material::{SpecularBlend, shown::recovered_material};
-use rayon::prelude::*;
 use std::{collections::BTreeSet, fs, path::Path, path::PathBuf, time::SystemTime};
 
 /// The manifest of a run, in its output folder.
@@ -323,7 +323,7 @@ fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
         let Some(settings) = settings else { continue };
         let views = chosen_views(&mut session.pipeline.world, settings);
         let world = &session.pipeline.world;
-        views.par_iter().try_for_each(|view| match &score.truth {
+        let checked = parallel::map_slice(&views, 1, |view| match &score.truth {
             Truth::Photographs if world.get::<Photograph>(view.entity).is_none() => Err(Error::usage(
                 format!("pass {} is scored against photographs, but view {} has none", score.pass, view.stem),
                 "Score only views with photographs: choose them with `render: (views: …)`.",
@@ -331,13 +331,15 @@ fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
             truth => truth.files().map_or(Ok(()), |files| {
                 read_fitting(&files.image(&view.name), Gamma::Srgb, &view.camera).map(drop)
             }),
-        })?;
+        });
+        checked.into_iter().collect::<Result<()>>()?;
         // Layers are scored on the views of the first score.
         for (truth, layer) in [(&pass.albedo, Layer::Albedo), (&pass.normal, Layer::Normal)] {
             if let (0, Some(files)) = (i, truth.as_ref().and_then(LayerTruth::files)) {
-                views.par_iter().try_for_each(|view| {
+                let checked = parallel::map_slice(&views, 1, |view| {
                     files.read_layer(layer, [&view.stem, &view.name], &view.camera).map(drop)
-                })?;
+                });
+                checked.into_iter().collect::<Result<()>>()?;
             }
         }
     }

@@ -10,11 +10,11 @@ use crate::{pass::run::progress::Progress, report::scores::Scores, scene::Scene,
 use glam::Vec3;
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
 use lobelia_geometry::mesh::{Surface, triangles::Mesh};
+use lobelia_geometry::parallel;
 use lobelia_io::codec::file::{clear_scratch, is_there, read_bytes, read_parts, write_file};
 use lobelia_solve::shape::run::replace_texels;
 use lobelia_world::checkpoint::{Checkpoints, ResumePoint, Saved, Span, keep_part, keep_pass, take_part};
 use lobelia_world::{checkpoint, material::replace_materials, sample::point::Scenery};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::io::Write as _;
 use std::{collections::BTreeMap, fmt::Debug, fs, path::Path, path::PathBuf, sync::Arc, time::Duration};
@@ -81,7 +81,7 @@ impl RunStart {
             within_memory: Self::hash(scene),
             threads: rayon::current_num_threads(),
             views: Self::hash(&data.map(|data| &data.views)),
-            inputs: inputs.par_iter().map(hash).collect::<Result<_>>()?,
+            inputs: parallel::map_slice(inputs, 1, hash).into_iter().collect::<Result<_>>()?,
         })
     }
 

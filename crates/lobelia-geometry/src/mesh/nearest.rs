@@ -3,10 +3,10 @@
 
 use crate::mesh::bvh::{TriangleHit, binary_hierarchy};
 use crate::mesh::triangles::Mesh;
+use crate::parallel;
 use glam::{Vec3, Vec3A};
 use obvhs::{aabb::Aabb, bvh2::Bvh2};
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
-use rayon::prelude::*;
 
 /// A hierarchy over the triangles of a mesh, for nearest-point queries.
 pub struct NearestTriangle {
@@ -102,8 +102,8 @@ pub fn chamfer_distance(a: &Mesh, b: &Mesh, seed: u64) -> Option<f64> {
 fn directed(from: &Mesh, onto: &Mesh, seed: u64) -> Option<f64> {
     let nearest = NearestTriangle::new(onto);
     let points = spread_points(from, SAMPLES, seed)?;
-    let distances: Option<Vec<f32>> =
-        points.par_iter().map(|&point| nearest.nearest(point).map(|found| found.distance)).collect();
+    let distance = |&point: &Vec3| nearest.nearest(point).map(|found| found.distance);
+    let distances = parallel::map_slice(&points, 64, distance).into_iter().collect::<Option<Vec<f32>>>();
     Some(distances?.into_iter().map(f64::from).sum::<f64>() / SAMPLES as f64)
 }
 

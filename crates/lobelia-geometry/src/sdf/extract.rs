@@ -10,6 +10,7 @@
 //! separate midpoint for each pair.
 
 use crate::mesh::triangles::{DisjointSets, Mesh, Side, sorted_sides};
+use crate::parallel;
 use crate::sdf::SdfGrid;
 use fast_surface_nets::{SurfaceNetsBuffer, ndshape::RuntimeShape, surface_nets};
 use glam::Vec3;
@@ -45,10 +46,13 @@ pub fn extract_components(grid: &SdfGrid) -> Vec<Mesh> {
     let triangles = buffer.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
     let mut mesh = Mesh { positions, triangles, ..Mesh::default() };
     let parted = make_manifold(&mut mesh, |p| grid.value(p) < 0.0);
-    let whole = mesh.positions.par_iter_mut().zip(&parted).filter(|(_, parted)| !**parted);
-    whole.for_each(|(position, _)| *position = project(grid, *position));
+    parallel::for_each_row((&mut *mesh.positions, &*parted), 1024, |(position, parted)| {
+        if !parted {
+            *position = project(grid, *position);
+        }
+    });
     let normal = |p: &Vec3| grid.gradient(*p).try_normalize().unwrap_or(Vec3::Y);
-    mesh.normals = mesh.positions.par_iter().map(normal).collect();
+    mesh.normals = parallel::map_slice(&mesh.positions, 1024, normal);
     mesh.drop_degenerate_triangles();
     components(&mesh)
 }

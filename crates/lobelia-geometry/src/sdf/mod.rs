@@ -11,9 +11,9 @@ pub mod extract;
 mod redistance;
 pub mod volume;
 
+use crate::parallel;
 use glam::{UVec3, Vec3};
 use lobelia_sg::ray::Ray;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Vertices of a block along each axis.
@@ -47,7 +47,7 @@ impl SdfGrid {
         let spacing = 2.0 * half_side / cells as f32;
         let mut grid = Self { side, origin: center - Vec3::splat(half_side), spacing, values: Vec::new() };
         let at = |i: usize| value(grid.position(grid.vertex(i)));
-        grid.values = (0..side as usize * (side * side) as usize).into_par_iter().map(at).collect();
+        grid.values = parallel::map(side as usize * (side * side) as usize, 1024, at);
         grid
     }
 
@@ -155,8 +155,8 @@ impl SdfGrid {
     ) -> Vec<f32> {
         let plane = (self.side * self.side) as usize;
         let mut values = self.values.clone();
-        let layers = values.par_chunks_mut(plane * BLOCK as usize).enumerate();
-        layers.for_each(|(layer, part)| {
+        let layers = values.chunks_mut(plane * BLOCK as usize).enumerate();
+        parallel::for_each(layers, |(layer, part)| {
             let (first, count) = (layer * BLOCK as usize * plane, self.side.div_ceil(BLOCK));
             for i in 0..count * count {
                 let low = BLOCK * UVec3::new(i % count, i / count, layer as u32);

@@ -5,8 +5,8 @@
 //! eight diagonal directions. Only vertices with a neighbor that has changed are solved again (Bak,
 //! McLaughlin and Renzi, "Some Improvements for the Fast Sweeping Method", 2010).
 
+use crate::parallel;
 use crate::sdf::SdfGrid;
-use rayon::prelude::*;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32};
 
@@ -19,14 +19,17 @@ const ROUNDS: usize = 2;
 const NEAR_CELLS: f32 = 8.0;
 /// Rows of a task at least.
 const TASK_ROWS: usize = 8;
+/// Vertices of a task at least.
+const TASK_VERTICES: usize = 1024;
 
 impl SdfGrid {
     /// Replaces the values by distances to their zero level, which is preserved.
     pub fn redistance(&mut self) {
         let far = 3f32.sqrt() * self.spacing * self.side as f32;
         let solved = self.solved_within(f32::INFINITY);
-        let values = self.values.par_iter_mut().zip(solved);
-        values.for_each(|(value, distance)| *value = distance.min(far).copysign(*value));
+        parallel::for_each_row((&mut *self.values, &*solved), TASK_VERTICES, |(value, distance)| {
+            *value = distance_of(distance).min(far).copysign(*value);
+        });
     }
 
     /// Redistances up to 8 cells (`NEAR_CELLS`) from the zero level, with less work, for a field of
@@ -35,22 +38,27 @@ impl SdfGrid {
     pub fn redistance_near(&mut self) {
         let reach = NEAR_CELLS * self.spacing;
         let solved = self.solved_within(reach);
-        let known = self.values.par_iter().zip(&solved).filter(|(_, distance)| distance.is_finite());
-        let change = |(value, distance): (&f32, &f32)| (distance - value.abs()).abs();
-        let most = known.map(change).reduce(|| 0.0, f32::max);
-        self.values.par_iter_mut().zip(solved).for_each(|(value, distance)| {
+        let change = |(values, solved): (&[f32], &[AtomicU32])| {
+            let all = values.iter().zip(solved.iter().map(distance_of));
+            let known = all.filter(|(_, distance)| distance.is_finite());
+            known.map(|(value, distance)| (distance - value.abs()).abs()).fold(0.0, f32::max)
+        };
+        let chunks = self.values.chunks(TASK_VERTICES).zip(solved.chunks(TASK_VERTICES));
+        let most = parallel::map_items(chunks, change).into_iter().fold(0.0, f32::max);
+        parallel::for_each_row((&mut *self.values, &*solved), TASK_VERTICES, |(value, distance)| {
+            let distance = distance_of(distance);
             let distance = if distance.is_finite() { distance } else { (value.abs() - most).max(reach) };
             *value = distance.copysign(*value);
         });
     }
 
-    /// The distances of the vertices to the zero level, up to `reach` and a cell beyond it;
+    /// Bits of the distances of the vertices to the zero level, up to `reach` and a cell beyond it;
     /// infinite farther away.
-    fn solved_within(&self, reach: f32) -> Vec<f32> {
+    fn solved_within(&self, reach: f32) -> Vec<AtomicU32> {
         let sweeps = Sweeps::new(self, reach);
         let is_open = |_: &usize| sweeps.open_rows.iter().any(|row| row.load(Relaxed));
         (0..8 * ROUNDS).take_while(is_open).for_each(|round| sweeps.sweep(round % 8));
-        sweeps.distance.into_par_iter().map(|bits| f32::from_bits(bits.into_inner())).collect()
+        sweeps.distance
     }
 
     /// Resamples the field on a grid of `cells` cells per side over the same cube.
@@ -115,31 +123,39 @@ struct Sweeps {
     open_rows: Vec<AtomicBool>,
 }
 
+fn distance_of(bits: &AtomicU32) -> f32 {
+    f32::from_bits(bits.load(Relaxed))
+}
+
 impl Sweeps {
     /// Begins with the vertices beside the zero level.
     fn new(grid: &SdfGrid, reach: f32) -> Self {
         let (side, spacing) = (grid.side as usize, grid.spacing);
         let count = grid.values.len();
-        let distance = (0..count).into_par_iter().map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect();
-        let state = (0..count).into_par_iter().map(|_| AtomicU8::new(CLOSED)).collect();
+        let distance = (0..count).map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect();
+        let state = (0..count).map(|_| AtomicU8::new(CLOSED)).collect();
         let open_rows = (0..side * side).map(|_| AtomicBool::new(false)).collect();
         let sweeps = Self { side, spacing, reach, distance, state, open_rows };
-        let row = |row: usize| (0..side).map(move |x| GridVertex::new(side, [x, row % side, row / side]));
         // A neighbor has the other sign.
         let is_beside_zero = |place: &GridVertex| {
             let inside = grid.values[place.i].is_sign_negative();
             place.neighbors(side).any(|other| grid.values[other.i].is_sign_negative() != inside)
         };
-        let places = (0..side * side).into_par_iter().flat_map_iter(row);
-        let near: Vec<GridVertex> = places.filter(is_beside_zero).collect();
-        near.par_iter().for_each(|place| {
+        let row = |row: usize| {
+            let places = (0..side).map(move |x| GridVertex::new(side, [x, row % side, row / side]));
+            places.filter(is_beside_zero)
+        };
+        let near: Vec<GridVertex> = parallel::flat_map(side * side, TASK_ROWS, row);
+        parallel::for_each_row(&*near, TASK_VERTICES, |place| {
             let length = grid.vertex_gradient(grid.vertex(place.i)).length();
             let distance = grid.values[place.i].abs() / length.clamp(GRADIENT_RANGE.0, GRADIENT_RANGE.1);
             let distance = distance.min(2.0 * spacing);
             sweeps.distance[place.i].store(distance.to_bits(), Relaxed);
             sweeps.state[place.i].store(FIXED, Relaxed);
         });
-        near.par_iter().for_each(|place| sweeps.open_around(*place, sweeps.of(place.i)));
+        parallel::for_each_row(&*near, TASK_VERTICES, |place| {
+            sweeps.open_around(*place, sweeps.of(place.i));
+        });
         sweeps
     }
 
@@ -154,14 +170,14 @@ impl Sweeps {
             let rows = places.map(|ky| [run(1, ky), run(2, wave - ky)]);
             let is_open = |[y, z]: &[usize; 2]| self.open_rows[y + side * z].swap(false, Relaxed);
             let rows: Vec<[usize; 2]> = rows.filter(is_open).collect();
-            rows.par_iter().with_min_len(TASK_ROWS).for_each(|[y, z]| {
+            parallel::for_each_row(&*rows, TASK_ROWS, |[y, z]| {
                 (0..side).for_each(|kx| self.solve(GridVertex::new(side, [run(0, kx), *y, *z])));
             });
         }
     }
 
     fn of(&self, i: usize) -> f32 {
-        f32::from_bits(self.distance[i].load(Relaxed))
+        distance_of(&self.distance[i])
     }
 
     /// Solves for a vertex, if it is open.

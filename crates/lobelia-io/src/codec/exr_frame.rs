@@ -14,8 +14,8 @@ use exr::meta::{BlockDescription, Headers};
 use exr::{block::writer::ChunksWriter, math::Vec2};
 use flate2::{Compression, write::ZlibEncoder};
 use glam::Vec3;
+use lobelia_geometry::parallel;
 use lobelia_geometry::{Error, Result, view::BLOCK_ROWS, view::Frame};
-use rayon::prelude::*;
 use std::{io::Write as _, path::Path};
 
 const COLOR: [&str; 3] = ["R", "G", "B"];
@@ -174,7 +174,8 @@ impl FrameRows<'_> {
         let mut bytes = std::mem::take(&mut self.waiting);
         let start = bytes.len();
         bytes.resize(start + height * row_bytes, 0);
-        bytes[start..].par_chunks_exact_mut(row_bytes).enumerate().for_each(|(row, bytes)| {
+        let rows = bytes[start..].chunks_exact_mut(row_bytes).enumerate();
+        parallel::for_each(rows, |(row, bytes)| {
             for (column, cells) in columns.iter().zip(bytes.chunks_exact_mut(4 * width)) {
                 let cells = cells.as_chunks_mut().0.iter_mut();
                 (row * width..).zip(cells).for_each(|(i, cell)| *cell = (column.at)(i).to_le_bytes());
@@ -186,7 +187,7 @@ impl FrameRows<'_> {
         let complete = if is_last { bytes.len() } else { bytes.len() / block_bytes * block_bytes };
         self.waiting = bytes.split_off(complete);
         let chunk = |(k, data)| compressed(first_block + k, data);
-        let chunks: Vec<Result<Chunk>> = bytes.par_chunks(block_bytes).enumerate().map(chunk).collect();
+        let chunks: Vec<Result<Chunk>> = parallel::map_items(bytes.chunks(block_bytes).enumerate(), chunk);
         for (block, chunk) in (first_block..).zip(chunks) {
             (self.put)(block, chunk?).map_err(|error| failed(self.path, error))?;
         }

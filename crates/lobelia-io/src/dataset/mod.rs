@@ -26,11 +26,11 @@ use crate::codec::image::Gamma;
 use files::{check_name, near, quoted};
 use glam::Vec3;
 use layout::{find_with_note, in_scene_file};
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Placement, Split, ViewRecord};
 use lobelia_geometry::{Error, Result};
 use pose::PRECISE;
 use priors::find_priors;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::{collections::BTreeMap, ffi::OsStr, path::Path, sync::Arc};
 use views::{Curves, split_name};
@@ -195,7 +195,7 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
 /// The errors of [`open_dataset`], and [`Error::Input`] if an image or mask is unusable.
 pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<LoadedDataset> {
     let OpenDataset { views, layout, mut notes } = open_dataset(dir, split, options)?;
-    let loaded: Vec<Result<LoadedView>> = views.par_iter().map(PlannedView::load).collect();
+    let loaded: Vec<Result<LoadedView>> = parallel::map_slice(&views, 1, PlannedView::load);
     let loaded = loaded.into_iter().collect::<Result<Vec<_>>>()?;
     notes.extend(load_notes(&loaded));
     Ok(LoadedDataset { views: loaded.into_iter().map(|view| view.record).collect(), layout, notes })

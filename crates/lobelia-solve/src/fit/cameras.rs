@@ -22,6 +22,7 @@ use crate::fit::{components::StepRates, exposure::Exposures, loss::radiance};
 use bevy_ecs::prelude::{Component, Entity, Mut, Query, Res, ResMut, Resource, With, World};
 use glam::{Affine3A, Quat, Vec2, Vec3};
 use lobelia_geometry::Result;
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex, ViewName};
 use lobelia_sg::linear::{cholesky, solve_factored};
 use lobelia_sg::ray::Intersect;
@@ -30,7 +31,6 @@ use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{ImageGradient, Observed, PixelOf, ViewRay};
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Steps between two moves of the cameras; their normal equations are summed over these.
@@ -174,7 +174,7 @@ pub fn retrace_still_surface(
 /// Intersects the rays of the window with the front of a surface.
 pub(crate) fn retrace(of: &dyn Intersect, samples: Samples<(&ViewRay, &mut SurfacePoint)>) -> SystemResult {
     let (rays, mut points) = samples.columns()?;
-    points.par_iter_mut().zip(&*rays).with_min_len(256).for_each(|(point, ray)| {
+    parallel::for_each_row((&mut *points, &*rays), 256, |(point, ray)| {
         let hit = of.intersect(&ray.0, 0.0);
         *point = hit.filter(|hit| hit.normal.dot(ray.0.direction) < 0.0).into();
     });
@@ -209,7 +209,7 @@ pub fn align_photographs(
         let row = AlignedRow::new(camera, points[i].position, center, gradient, residual).filter(|_| usable);
         row.map(|row| (pixels[i].view, row))
     };
-    let rows: Vec<_> = (0..points.len()).into_par_iter().with_min_len(256).filter_map(row).collect();
+    let rows: Vec<_> = parallel::flat_map(points.len(), 256, row);
     if add_rows(0, &rows, &mut fit, &mut guard, &mut views)? {
         fit.center = Some(center);
     }

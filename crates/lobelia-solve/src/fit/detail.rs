@@ -30,6 +30,7 @@ use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World
 use glam::{Mat2, Mat3, Vec2, Vec3};
 use half::f16;
 use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex};
 use lobelia_geometry::{Error, Result};
 use lobelia_sg::ray::TexelAddress;
@@ -49,7 +50,6 @@ use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay};
 use lobelia_world::sample::point::SurfacePoint;
 use lobelia_world::sample::{despawn_pool, pixel::Window};
-use rayon::prelude::*;
 use std::ops::ControlFlow;
 use tracing::info_span;
 
@@ -211,24 +211,22 @@ fn sweep(world: &mut World, pixels: &[KeptPixel], options: DetailOptions) -> Res
     let materials = if options.metal { recovered_materials(world) } else { Vec::new() };
     let metals = Metals::of(materials.iter().map(|(number, lobe)| (*number, lobe)));
     let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
-    let texels = albedo.par_iter_mut().zip(&mut sheen).zip(&mut tilt);
-    texels.zip(&equations).zip(&blends).with_min_len(4096).for_each(
-        |((((albedo, sheen), tilt), equations), blend)| {
-            let mean = mean_albedo(albedo.0, sheen.0);
-            let change = equations.solve(with_sheen, with_tilt.then_some((mean, tilt.0)));
-            let most = Vec3::splat(metals.most_diffuse(&blend.0));
-            let along = (albedo.0 + sheen.0 + change.albedo + change.sheen).clamp(Vec3::ZERO, most);
-            albedo.0 = (albedo.0 + change.albedo).clamp(Vec3::ZERO, most);
-            if with_sheen {
-                sheen.0 = along - albedo.0;
-            }
-            // The difference between sides is what was solved for, not its part of the albedo,
-            // which changes as well.
-            let now = mean_albedo(albedo.0, sheen.0);
-            let part = mean.dot(now) / now.length_squared().max(LEAST_COLOR);
-            tilt.0 = ((tilt.0 + change.tilt) * part).clamp_length_max(MOST_TILT);
-        },
-    );
+    let texels = (((&mut *albedo, &mut *sheen), &mut *tilt), (&*equations, &*blends));
+    parallel::for_each_row(texels, 4096, |(((albedo, sheen), tilt), (equations, blend))| {
+        let mean = mean_albedo(albedo.0, sheen.0);
+        let change = equations.solve(with_sheen, with_tilt.then_some((mean, tilt.0)));
+        let most = Vec3::splat(metals.most_diffuse(&blend.0));
+        let along = (albedo.0 + sheen.0 + change.albedo + change.sheen).clamp(Vec3::ZERO, most);
+        albedo.0 = (albedo.0 + change.albedo).clamp(Vec3::ZERO, most);
+        if with_sheen {
+            sheen.0 = along - albedo.0;
+        }
+        // The difference between sides is what was solved for, not its part of the albedo,
+        // which changes as well.
+        let now = mean_albedo(albedo.0, sheen.0);
+        let part = mean.dot(now) / now.length_squared().max(LEAST_COLOR);
+        tilt.0 = ((tilt.0 + change.tilt) * part).clamp_length_max(MOST_TILT);
+    });
     // A texel that no pixel meets between texels that the fit has seen keeps what the fit has found
     // there.
     let mut seen = read_column::<TexelIndex, TexelSeen>(world)?;
@@ -287,7 +285,7 @@ pub fn keep_pixels(
             })
         })
     };
-    detail.kept.par_extend((0..points.len()).into_par_iter().filter_map(shown));
+    detail.kept.append(&mut parallel::flat_map(points.len(), 1024, shown));
     Ok(())
 }
 

@@ -22,13 +22,13 @@ use crate::shade::systems::kernel_specular;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use lobelia_geometry::Result;
+use lobelia_geometry::parallel;
 use lobelia_sg::linear::{cholesky, solve_factored};
 use lobelia_sg::shading::{ClosedForm, Lighting, LobeColumns, LobeVisibility, ShadePoint, SpecularValue};
 use lobelia_sg::{fibonacci::fibonacci_axes, sg::sphere_integral, shading::RESPONSE_ROWS};
 use lobelia_world::light::LightLobe;
 use lobelia_world::material::{SpecularLobe, recovered_albedo, recovered_materials};
 use lobelia_world::sample::Observation;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::{collections::HashMap, f32::consts::FRAC_1_PI};
@@ -312,8 +312,8 @@ struct ChannelSums {
 /// Sums up the evidence of all patches.
 fn sum_up(shaded: &ShadedSamples<'_>, patches: &AlbedoPatches) -> Evidence {
     let (lobes, samples) = (shaded.merged.count, shaded.samples);
-    let runs = patches.patches.par_chunks(patches.patches.len().div_ceil(RUNS).max(1));
-    let parts: Vec<[ChannelSums; 3]> = runs.map(|run| sum_run(shaded, patches, run)).collect();
+    let runs = patches.patches.chunks(patches.patches.len().div_ceil(RUNS).max(1));
+    let parts: Vec<[ChannelSums; 3]> = parallel::map_items(runs, |run| sum_run(shaded, patches, run));
     let parameters = 3 * lobes + 2;
     let mut curvature = vec![0.0; parameters * parameters];
     let mut gradients = vec![vec![0.0; parameters]; patches.clusters];
@@ -481,7 +481,7 @@ impl Posterior {
             1.0 - self.variance * unit[at]
         };
         let light = (0..3 * self.lobes).chain(3 * self.lobes + 2..self.is_free.len());
-        light.collect::<Vec<_>>().into_par_iter().map(of).collect::<Vec<f64>>().iter().sum()
+        parallel::map_items(light, of).iter().sum()
     }
 }
 

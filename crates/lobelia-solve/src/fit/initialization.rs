@@ -14,6 +14,7 @@ use bevy_ecs::{prelude::Without, system::SystemState};
 use fearless_simd::{Level, dispatch};
 use glam::{DVec3, Mat3, Vec3};
 use lobelia_geometry::error::stop::check_interrupted;
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
 use lobelia_geometry::{Error, Result};
 use lobelia_sg::linear::descend_nonnegative;
@@ -29,7 +30,6 @@ use lobelia_world::material::{
 use lobelia_world::sample::point::SurfacePoint;
 use lobelia_world::sample::{Observation, Observations, light_rotations};
 use lobelia_world::{light::groups::light_groups, light::lights::LobeOf, material::sheen::write_albedo};
-use rayon::prelude::*;
 use std::ops::Range;
 use std::{borrow::Cow, f32::consts::FRAC_1_PI};
 use tracing::info_span;
@@ -195,22 +195,26 @@ fn part_of_surface(all: &[Observation]) -> Option<Vec<Observation>> {
     }
     let (low, longest) = extent(all);
     let side = longest / PART_CELLS;
-    let is_in = |observation: &&Observation| {
+    let is_in = |observation: &Observation| {
         let cell = ((observation.point.position - low) / side).as_uvec3();
         let mixed = cell.x.wrapping_mul(0x9e37_79b1)
             ^ cell.y.wrapping_mul(0x85eb_ca77)
             ^ cell.z.wrapping_mul(0xc2b2_ae3d);
         ((mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d) >> 12).is_multiple_of(every)
     };
-    let part: Vec<Observation> = all.par_iter().filter(is_in).copied().collect();
+    let part: Vec<Observation> = parallel::flat_map(all.len(), 4096, |i| is_in(&all[i]).then_some(all[i]));
     (part.len() >= PART_PIXELS / 4).then_some(part)
 }
 
 /// The lowest corner of the box around observed points, and its longest side, world units.
 pub(super) fn extent(observations: &[Observation]) -> (Vec3, f32) {
-    let at = observations.par_iter().map(|observation| [observation.point.position; 2]);
-    let nowhere = || [Vec3::INFINITY, Vec3::NEG_INFINITY];
-    let [low, high] = at.reduce(nowhere, |a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+    let nowhere = [Vec3::INFINITY, Vec3::NEG_INFINITY];
+    let around = |a: [Vec3; 2], b: [Vec3; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+    let of_chunk = |chunk: &[Observation]| {
+        chunk.iter().map(|observation| [observation.point.position; 2]).fold(nowhere, around)
+    };
+    let boxes: Vec<[Vec3; 2]> = parallel::map_items(observations.chunks(4096), of_chunk);
+    let [low, high] = boxes.into_iter().fold(nowhere, around);
     (low, (high - low).max_element().max(1e-6))
 }
 
@@ -300,17 +304,19 @@ impl Initialization<'_> {
         let viewer = |Observation { pixel, .. }: &Observation| {
             Ok(-self.cameras.of(pixel.view)?.pixel_ray(pixel.pixel).direction)
         };
-        let viewers: Vec<Vec3> = observations.par_iter().map(viewer).collect::<Result<_>>()?;
-        let point = |(Observation { pixel, point, .. }, viewer): (&Observation, &Vec3)| {
+        let viewers = parallel::map_slice(observations, 1024, viewer);
+        let viewers = viewers.into_iter().collect::<Result<Vec<Vec3>>>()?;
+        let point = |i: usize| {
+            let Observation { pixel, point, .. } = &observations[i];
             let albedo = albedo(point).into();
-            let point = ShadePoint { normal: point.normal.into(), to_viewer: (*viewer).into(), albedo };
+            let point = ShadePoint { normal: point.normal.into(), to_viewer: viewers[i].into(), albedo };
             self.turns.get(pixel.view).map_or(point, |turn| turned(&point, *turn))
         };
-        let points = observations.par_iter().zip(&viewers).map(point).collect();
+        let points = parallel::map(observations.len(), 1024, point);
         let (mut rows, mut seen) = (WindowVisibility::default(), Vec::new());
         if let Some(object) = &self.known.object {
             seen.resize(observations.len(), PointVisibility::OPEN);
-            let surface: Vec<SurfacePoint> = observations.par_iter().map(|o| o.point).collect();
+            let surface: Vec<SurfacePoint> = parallel::map_slice(observations, 1024, |o| o.point);
             let viewer = |i: usize| (viewers[i], observations[i].pixel);
             object.window(&surface, viewer, |_| self.known.specular.roughness, None, &mut rows, &mut seen);
         }
@@ -418,10 +424,9 @@ fn solve_amplitudes(
         }
         rows
     };
-    let rows: Vec<Rows> = (0..points.len().div_ceil(CHUNK)).into_par_iter().map(chunk).collect();
+    let rows: Vec<Rows> = parallel::map(points.len().div_ceil(CHUNK), 1, chunk);
     let channels = [0, 1, 2].map(|channel| normal_equations(&rows, channel, lobes.len()));
-    let solved = channels.into_par_iter().map(|(matrix, right)| solve(matrix, &right, RIDGE));
-    let solved: Vec<Vec<f64>> = solved.collect();
+    let solved: Vec<Vec<f64>> = parallel::map_items(channels, |(matrix, right)| solve(matrix, &right, RIDGE));
     (0..lobes.len()).map(|i| Vec3::from_array(std::array::from_fn(|c| solved[c][i] as f32))).collect()
 }
 
@@ -430,8 +435,8 @@ fn solve_amplitudes(
 fn normal_equations(rows: &[Rows], channel: usize, n: usize) -> (Vec<f64>, Vec<f64>) {
     let mut matrix = vec![0.0; n * n];
     let mut right = vec![0.0; n];
-    let lines = matrix.par_chunks_mut(TILE * n).zip(right.par_chunks_mut(TILE)).enumerate();
-    lines.for_each(|(tile, (lines, right))| {
+    let lines = matrix.chunks_mut(TILE * n).zip(right.chunks_mut(TILE)).enumerate();
+    parallel::for_each(lines, |(tile, (lines, right))| {
         for Rows { responses, targets } in rows {
             let (responses, targets) = (&responses[channel], &targets[channel]);
             let own = &responses[tile * targets.len()..][..targets.len()];

@@ -11,12 +11,12 @@ use crate::fit::components::{StepRates, Unknowns};
 use crate::fit::roughness::TexelPlaces;
 use bevy_ecs::prelude::{Query, Res};
 use glam::Vec3;
+use lobelia_geometry::parallel;
 use lobelia_world::material::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, Texels,
     USUAL_ALBEDO,
 };
 use lobelia_world::pipeline::SystemResult;
-use rayon::prelude::*;
 
 /// The specular albedo of dielectrics: water has 0.02, glass and varnish 0.04, dense glaze 0.08.
 pub const DIELECTRIC_ALBEDO: (f32, f32) = (0.02, 0.08);
@@ -136,8 +136,8 @@ pub fn bound_diffuse_albedo(
         return Ok(());
     }
     let decay = DECAY * rates.albedo;
-    let texels = albedo.par_iter_mut().zip(&mut *sheen).zip(&*blends).with_min_len(4096);
-    texels.for_each(|((albedo, sheen), blend)| {
+    let texels = ((&mut *albedo, &mut *sheen), &*blends);
+    parallel::for_each_row(texels, 4096, |((albedo, sheen), blend)| {
         let left = 1.0 - (decay * metals.share(&blend.0).powi(2)).min(1.0);
         (albedo.0, sheen.0) = (albedo.0 * left, sheen.0 * left);
         (albedo.0, sheen.0) = within(albedo.0, sheen.0, metals.most_diffuse(&blend.0));

@@ -6,6 +6,7 @@ use bevy_ecs::prelude::{Query, Res, Resource, With, World};
 use bevy_ecs::system::RunSystemOnce;
 use glam::Vec2;
 use lobelia_geometry::error::stop::check_interrupted;
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{ByView, Camera, Photograph, StoredMask, ViewIndex};
 use lobelia_geometry::view::{PixelWindow, Split, ViewMask, glare_limit, raster::FULL_COVERAGE};
 use lobelia_geometry::{Error, Result};
@@ -21,9 +22,8 @@ use lobelia_world::sample::{
     Samples, despawn_observations, despawn_pool,
 };
 use rand::{RngExt, SeedableRng, rngs::SmallRng, seq::SliceRandom};
-use rayon::prelude::*;
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Inputs from which the pool of observed pixels was made.
 #[derive(Resource)]
@@ -42,7 +42,7 @@ const TRACED_AT_ONCE: usize = 1 << 16;
 /// The training views in order, each with the number of its usable foreground pixels.
 pub(super) fn usable_by_view(world: &mut World) -> Vec<(ViewIndex, usize)> {
     let training = training_views(world);
-    training.par_iter().map(|view| (view.index, view.usable().count())).collect()
+    parallel::map_slice(&training, 1, |view| (view.index, view.usable().count()))
 }
 
 /// Every n-th usable foreground pixel of a training view, row by row.
@@ -124,7 +124,7 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
             let observed = observed_in(view.photograph, pixel.pixel);
             Ok(Some((Observation { pixel: *pixel, observed, point }, ObservedGradient(gradient))))
         };
-        let met: Vec<Option<_>> = part.par_iter().map(observe).collect::<Result<_>>()?;
+        let met = parallel::map_slice(part, 64, observe).into_iter().collect::<Result<Vec<Option<_>>>>()?;
         let observations: Vec<_> = (rows..).map(ObservationIndex).zip(met.into_iter().flatten()).collect();
         rows += observations.len() as u32;
         if gradients {
@@ -166,7 +166,8 @@ fn with_even_shares(
     for part in chosen.chunks(TRACED_AT_ONCE) {
         check_interrupted()?;
         let texel = |pixel: &PixelOf| Ok(trace(pixel)?.map_or(NO_TEXEL, |point| main_texel(&point.texels)));
-        texels.append(&mut part.par_iter().map(texel).collect::<Result<Vec<u32>>>()?);
+        let of_part = parallel::map_slice(part, 64, texel).into_iter();
+        texels.append(&mut of_part.collect::<Result<Vec<u32>>>()?);
     }
     let kept = kept_evenly(&texels, most);
     Ok(chosen.into_iter().zip(kept).filter_map(|(pixel, kept)| kept.then_some(pixel)).collect())
@@ -199,15 +200,16 @@ pub fn take_observations(
     let cameras: ByView<Camera> = views.iter().map(|(index, camera)| (*index, *camera)).collect();
     let observations = observations.rows(taken.0.clone())?;
     let (mut pixels, mut observed, mut points, mut rays) = samples.columns()?;
-    let columns = pixels.par_iter_mut().zip(&mut *observed).zip(&mut *points).zip(&mut *rays);
-    columns.zip(&*observations).with_min_len(1024).try_for_each(
-        |((((pixel, observed), point), ray), from)| -> Result<()> {
-            (*pixel, *observed, *point) = (from.pixel, from.observed, from.point);
-            ray.0 = cameras.of(from.pixel.view)?.pixel_ray(from.pixel.pixel);
-            Ok(())
-        },
-    )?;
-    Ok(())
+    let missing = OnceLock::new();
+    let columns = (((&mut *pixels, &mut *observed), &mut *points), (&mut *rays, &*observations));
+    parallel::for_each_row(columns, 1024, |(((pixel, observed), point), (ray, from))| {
+        (*pixel, *observed, *point) = (from.pixel, from.observed, from.point);
+        match cameras.of(from.pixel.view) {
+            Ok(camera) => ray.0 = camera.pixel_ray(from.pixel.pixel),
+            Err(error) => drop(missing.set(error)),
+        }
+    });
+    missing.into_inner().map_or(Ok(()), |error| Err(error.into()))
 }
 
 /// Sample: takes their gradients, which they have if cameras are to be moved ([`GradientsNeeded`]).
@@ -340,7 +342,7 @@ fn choose_pixels(world: &mut World, choice: PixelChoice) -> Result<Vec<PixelOf>>
 
 /// Usable pixels in a random order, cut short; every pixel of every view is looked at.
 fn any_of_all(training: &[ObservedView], choice: PixelChoice) -> Result<Vec<PixelOf>> {
-    let by_view: Vec<Vec<PixelOf>> = training.par_iter().map(|view| view.usable().collect()).collect();
+    let by_view: Vec<Vec<PixelOf>> = parallel::map_slice(training, 1, |view| view.usable().collect());
     let mut usable = by_view.concat();
     if usable.is_empty() {
         let views = training.len();
@@ -382,7 +384,8 @@ fn scattered(training: &[ObservedView], choice: PixelChoice) -> Option<Vec<Pixel
     let draw = |strata: usize, seed: u64| -> Vec<PixelOf> {
         let edge = |stratum: usize| (stratum as u128 * total as u128 / strata as u128) as usize;
         let near = |number: usize| (number as u128 * strata as u128 / total as u128) as usize;
-        let of_view = |(view, numbers): (&ObservedView, &Range<usize>)| -> Vec<PixelOf> {
+        let of_view = |i: usize| -> Vec<PixelOf> {
+            let (view, numbers) = (&training[i], &numbers[i]);
             let window = view.window();
             // A stratum may begin or end in another view, where the pixel then mostly is.
             let some = near(numbers.start).saturating_sub(1)..(near(numbers.end) + 2).min(strata);
@@ -395,7 +398,7 @@ fn scattered(training: &[ObservedView], choice: PixelChoice) -> Option<Vec<Pixel
             };
             some.filter_map(pixel_of).collect()
         };
-        training.par_iter().zip(&numbers).flat_map_iter(of_view).collect()
+        parallel::flat_map(training.len(), 1, of_view)
     };
     let mut random = SmallRng::seed_from_u64(choice.seed);
     let usable = draw(TRIED, random.random()).len();

@@ -15,12 +15,12 @@ use crate::fit::components::{AdamStep, Bounded, Moments, StepGradient, StepRates
 use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
 use glam::{UVec3, Vec3};
 use lobelia_geometry::mesh::atlas::TexelAtlas;
+use lobelia_geometry::parallel;
 use lobelia_world::material::material_source::BaseMaterials;
 use lobelia_world::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, Texels, texels_in_order};
 use lobelia_world::pipeline::SystemResult;
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::point::SurfacePoint;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// One value per base material.
@@ -102,8 +102,8 @@ pub fn move_blends(
     average_over_cells(&places.positions, &mut gradients, places.cells());
     let adam = AdamStep::new(rates.albedo, rates.step);
     let numbers: Vec<usize> = materials.by_number().map(|(number, _)| number).collect();
-    let columns = blends.par_iter_mut().zip(&mut *gradients).zip(&mut *moments);
-    columns.with_min_len(4096).for_each(|((blend, gradient), moments)| {
+    let columns = ((&mut *blends, &mut *gradients), &mut *moments);
+    parallel::for_each_row(columns, 4096, |((blend, gradient), moments)| {
         let step = adam.advance(&mut moments.0, &gradient.0);
         gradient.0 = PerMaterial::default();
         move_blend(&mut blend.0, &numbers, &step);
@@ -170,8 +170,10 @@ fn average_over_cells(positions: &[Vec3], gradients: &mut [BlendGradient], cells
             }
         }
     }
-    let both = gradients.par_iter_mut().zip(positions).with_min_len(4096);
-    both.filter(|(_, p)| p.is_finite()).for_each(|(gradient, position)| {
+    parallel::for_each_row((gradients, positions), 4096, |(gradient, position)| {
+        if !position.is_finite() {
+            return;
+        }
         gradient.0 = PerMaterial::default();
         for (vertex, weight) in lattice.corners(*position) {
             let (sum, total) = &sums[vertex];
@@ -363,9 +365,8 @@ pub(crate) fn move_roughness(
     average_over_cells(&places.positions, &mut gradients, places.cells());
     add_variation(&prior, &roughness, &albedo, &mut gradients);
     let adam = AdamStep::new(rates.albedo, rates.step);
-    let columns = roughness.par_iter_mut().zip(&mut *blends).zip(&mut *gradients);
-    let columns = columns.zip(&mut *moments).with_min_len(4096);
-    columns.for_each(|(((roughness, blend), gradient), moments)| {
+    let columns = ((&mut *roughness, &mut *blends), (&mut *gradients, &mut *moments));
+    parallel::for_each_row(columns, 4096, |((roughness, blend), (gradient, moments))| {
         let step = adam.advance(&mut moments.0, &[gradient.0[0], gradient.0[1]]);
         gradient.0 = PerMaterial::default();
         *roughness = roughness.moved(step, prior.varied_specular);

@@ -19,6 +19,7 @@ use crate::fit::metal::{Metals, metalness};
 use bevy_ecs::prelude::{DetectChangesMut, Query, Res, ResMut, Resource, World};
 use glam::{DVec3, Vec3, Vec4};
 use lobelia_geometry::Result;
+use lobelia_geometry::parallel;
 use lobelia_sg::sg::sphere_integral;
 use lobelia_sg::shading::{Layers, RadianceAdjoint, ShadePoint};
 use lobelia_world::light::LightLobe;
@@ -30,7 +31,6 @@ use lobelia_world::pipeline::pool::read_column;
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::point::PointBlend;
 use lobelia_world::{light::groups::FittedLobe, light::lights::own_lobes, material::sheen::write_albedo};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
@@ -171,9 +171,8 @@ impl ScaleEvidence<'_> {
     /// (three channels with a mean of 0), its level.
     fn gradient(&self, white_light: f32, off_gray: Vec3, mean_albedo: Vec3) -> Vec4 {
         let count = self.layers.len();
-        let runs =
-            (0..count.div_ceil(SAMPLES)).into_par_iter().map(|k| k * SAMPLES..count.min((k + 1) * SAMPLES));
-        let of_runs: Vec<_> = runs.map(|run| self.sums(run)).collect();
+        let of_run = |k: usize| self.sums(k * SAMPLES..count.min((k + 1) * SAMPLES));
+        let of_runs: Vec<_> = parallel::map(count.div_ceil(SAMPLES), 1, of_run);
         let [highlights, bound] =
             [0, 1].map(|k| of_runs.iter().map(|(by, _)| by[k]).sum::<DVec3>().as_vec3());
         let metal = (of_runs.iter().map(|(_, metal)| metal).sum::<f64>() / count.max(1) as f64) as f32;
@@ -237,8 +236,9 @@ pub fn means(world: &mut World) -> Result<[Vec3; 2]> {
 fn rescale<'a>(factor: Vec3, lobes: impl Iterator<Item = &'a mut LightLobe>, albedo: &mut [DiffuseAlbedo]) {
     lobes.for_each(|lobe| lobe.amplitude *= factor);
     let divisor = factor.recip();
-    let texels = albedo.par_iter_mut().with_min_len(CHUNK);
-    texels.for_each(|albedo| albedo.0 = (albedo.0 * divisor).min(Vec3::splat(MOST_ALBEDO)));
+    parallel::for_each_row(albedo, CHUNK, |albedo| {
+        albedo.0 = (albedo.0 * divisor).min(Vec3::splat(MOST_ALBEDO));
+    });
 }
 
 /// A base material with its specular albedo divided by the factor as far as it is metal.
@@ -312,8 +312,8 @@ fn mean_albedo(albedo: &[DiffuseAlbedo], seen: &[TexelSeen], weight: impl Fn(usi
             (sum + albedo.0.as_dvec3() * weight, weights + weight)
         })
     };
-    let chunks = albedo.par_chunks(CHUNK).zip(seen.par_chunks(CHUNK)).enumerate();
-    let sums: Vec<(DVec3, f64)> = chunks.map(of_chunk).collect();
+    let chunks = albedo.chunks(CHUNK).zip(seen.chunks(CHUNK)).enumerate();
+    let sums: Vec<(DVec3, f64)> = parallel::map_items(chunks, of_chunk);
     let (sum, weights) =
         sums.into_iter().fold((DVec3::ZERO, 0.0), |all, of_chunk| (all.0 + of_chunk.0, all.1 + of_chunk.1));
     (sum / weights.max(1e-6)).as_vec3()

@@ -15,6 +15,7 @@ use crate::fit::components::{AdamStep, AlbedoGradient, AlbedoMoments, Moments, S
 use crate::fit::{exposure::Exposures, loss::radiance, systems::moved_color};
 use bevy_ecs::prelude::{Component, Res, ResMut, Resource, With, World};
 use glam::Vec3;
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Camera, Photograph, Split, ViewIndex};
 use lobelia_sg::shading::{Layers, PointAdjoint, ShadePoint};
 use lobelia_world::material::sheen::{KnownAlong, grazing, has_sheen};
@@ -24,7 +25,6 @@ use lobelia_world::pipeline::pool::read_column;
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{Observed, PixelOf};
 use lobelia_world::sample::point::SurfacePoint;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -99,11 +99,11 @@ pub fn move_sheen(rates: Res<StepRates>, unknowns: Res<Unknowns>, texels: Texels
     let (mut albedo_gradient, mut gradient) = (albedo_gradient.quiet(), gradient.quiet());
     let (mut albedo_moments, mut moments) = (albedo_moments.quiet(), moments.quiet());
     let adam = AdamStep::new(rates.albedo, rates.step);
-    let colors = albedo.par_iter_mut().zip(&mut *sheen);
-    let gradients = albedo_gradient.par_iter_mut().zip(&mut *gradient);
-    let moments = albedo_moments.par_iter_mut().zip(&mut *moments);
-    let columns = colors.zip(gradients).zip(moments).with_min_len(4096);
-    columns.for_each(|(((albedo, sheen), (albedo_gradient, gradient)), (albedo_moments, moments))| {
+    let colors = (&mut *albedo, &mut *sheen);
+    let gradients = (&mut *albedo_gradient, &mut *gradient);
+    let columns = ((colors, gradients), (&mut *albedo_moments, &mut *moments));
+    parallel::for_each_row(columns, 4096, |((colors, gradients), (albedo_moments, moments))| {
+        let ((albedo, sheen), (albedo_gradient, gradient)) = (colors, gradients);
         let pulled = gradient.0 + sheen.0 * (2.0 / 3.0 * PRIOR * gradient.1);
         let along = moved_color(&adam, albedo.0 + sheen.0, pulled, &mut moments.0);
         albedo.0 = moved_color(&adam, albedo.0, albedo_gradient.0, &mut albedo_moments.0);

@@ -16,6 +16,7 @@ use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut};
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
 use glam::Vec3;
+use lobelia_geometry::parallel;
 use lobelia_sg::shading::{
     CHUNK, ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, PointAdjoint, PointVisibility,
     RadianceAdjoint, RadianceColumns, ShadeCall, ShadePoint, SharedGradient, SpecularAdjoint, SpecularValue,
@@ -28,7 +29,6 @@ use lobelia_world::pipeline::SystemResult;
 use lobelia_world::sample::pixel::{Observed, PixelOf};
 use lobelia_world::sample::point::{PointBlend, SurfacePoint};
 use lobelia_world::sample::{LightRotations, Samples};
-use rayon::prelude::*;
 
 /// Range of roughness in a fit; highlights of lower roughness are too narrow for single precision
 /// and for the pixels that show them.
@@ -132,8 +132,8 @@ pub fn move_texels(
     let (mut albedo, gradient, moments) = texels.columns()?;
     let (mut gradient, mut moments) = (gradient.quiet(), moments.quiet());
     let adam = AdamStep::new(rates.albedo, rates.step);
-    let columns = albedo.par_iter_mut().zip(&mut *gradient).zip(&mut *moments).with_min_len(4096);
-    columns.for_each(|((albedo, gradient), moments)| {
+    let columns = ((&mut *albedo, &mut *gradient), &mut *moments);
+    parallel::for_each_row(columns, 4096, |((albedo, gradient), moments)| {
         albedo.0 = moved_color(&adam, albedo.0, gradient.0, &mut moments.0);
         gradient.0 = Vec3::ZERO;
     });
@@ -241,9 +241,10 @@ fn pull_back_blended(
     gradient.blends.resize(samples.points.len(), PerMaterial::default());
     let lobes = lighting.visibility.map_or(&[][..], |v| v.lobes);
     let lighting = Lighting { visibility: Some(LobeVisibility { lobes, points: samples.seen }), ..lighting };
-    let out = back.par_chunks_mut(CHUNK).zip(gradient.blends.par_chunks_mut(CHUNK)).enumerate();
-    let chunks: Vec<BlendedSums> =
-        out.map(|(chunk, out)| pull_back_chunk(form, samples, chunk, materials, lighting, out)).collect();
+    let out = back.chunks_mut(CHUNK).zip(gradient.blends.chunks_mut(CHUNK)).enumerate();
+    let chunks: Vec<BlendedSums> = parallel::map_items(out, |(chunk, out)| {
+        pull_back_chunk(form, samples, chunk, materials, lighting, out)
+    });
     let mut lobes = LobeColumns::zeros(lighting.lobes.len());
     gradient.specular = vec![SpecularAdjoint::default(); materials.len()];
     for chunk in &chunks {

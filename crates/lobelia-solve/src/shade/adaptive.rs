@@ -10,9 +10,9 @@
 use crate::shade::frame::{FrameTarget, PixelSums, bands, render_rows, run_for_no_pixel, spawn_pool};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
+use lobelia_geometry::parallel;
 use lobelia_geometry::{error::Result, view::Camera};
 use lobelia_world::{pipeline::Pipeline, sample::point::Scenery};
-use rayon::prelude::*;
 use std::ops::Range;
 
 /// Difference of shown colors from which two pixels are told apart: 5 of 255.
@@ -111,11 +111,12 @@ fn render_band(
     target.chosen = Some(differing.into_iter().map(|i| (first + i) as u32).collect());
     let target = render_rows(pipeline, target)?;
     let share = |i: usize| if is_refined[i] { 1.0 / count } else { 1.0 };
-    let sums = || inner.clone().into_par_iter().map(|i| (share(i), &target.pixels[i]));
+    let color = |i: usize| share(i) * (target.pixels[i].diffuse + target.pixels[i].specular);
+    let alpha = |i: usize| share(i) * target.pixels[i].hits as f32;
     Ok(ColorBand {
         first_row: rows.start,
-        color: sums().map(|(share, sums)| share * (sums.diffuse + sums.specular)).collect(),
-        alpha: sums().map(|(share, sums)| share * sums.hits as f32).collect(),
+        color: parallel::map(inner.len(), 1024, |k| color(inner.start + k)),
+        alpha: parallel::map(inner.len(), 1024, |k| alpha(inner.start + k)),
         refined,
     })
 }
@@ -132,7 +133,7 @@ fn differing_pixels(
     let shown = |sums: &PixelSums| {
         if sums.hits > 0 { encode(sums.diffuse + sums.specular) } else { Vec3::ZERO }
     };
-    let colors: Vec<Vec3> = pixels.par_iter().map(shown).collect();
+    let colors: Vec<Vec3> = parallel::map_slice(pixels, 1024, shown);
     let height = pixels.len() / width;
     let differs = |i: usize| {
         let (x, y) = (i % width, i / width);
@@ -145,7 +146,7 @@ fn differing_pixels(
                 || (is_beside && (colors[i] - colors[j]).abs().max_element() > CONTRAST)
         })
     };
-    inner.into_par_iter().filter(|&i| differs(i)).collect()
+    parallel::flat_map(inner.len(), 1024, |k| Some(inner.start + k).filter(|&i| differs(i)))
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, With, World}
 use glam::Vec3;
 use lobelia_geometry::error::stop::check_interrupted;
 use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{BLOCK_ROWS, Camera, Frame, ViewIndex};
 use lobelia_sg::shading::{ClosedForm, Layers, ShadePoint};
 use lobelia_world::light::lights::{IncidentLight, LightChoice, provide_light};
@@ -19,7 +20,6 @@ use lobelia_world::sample::pixel::{PixelOf, SampleIndex, ViewRay, Window};
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
 use lobelia_world::sample::{FrameSample, Samples, despawn_pool};
 use lobelia_world::{light::light_frame::PictureRotation, material::edit::MaterialState};
-use rayon::prelude::*;
 use std::ops::Range;
 
 /// Samples in the pool of a frame: enough to use all threads, few enough for cache and memory.
@@ -307,7 +307,7 @@ pub fn frame_material(pipeline: &mut Pipeline) -> Result<MaterialState> {
 /// layers over samples with a hit.
 pub fn resolve(target: &FrameTarget) -> Frame {
     let samples = target.samples_per_pixel() as f32;
-    let each = |f: &(dyn Fn(&PixelSums) -> Vec3 + Sync)| target.pixels.par_iter().map(f).collect();
+    let each = |f: &(dyn Fn(&PixelSums) -> Vec3 + Sync)| parallel::map_slice(&target.pixels, 1024, f);
     Frame {
         width: target.camera.width as usize,
         height: target.rows.len(),
@@ -327,8 +327,8 @@ pub fn sample_pixels(
     samples: Samples<(&SampleIndex, &mut PixelOf, &mut ViewRay)>,
 ) -> SystemResult {
     let (index, mut pixels, mut rays) = samples.columns()?;
-    let columns = pixels.par_iter_mut().zip(&mut *rays).zip(&*index).with_min_len(4096);
-    columns.for_each(|((pixel, ray), index)| {
+    let columns = ((&mut *pixels, &mut *rays), &*index);
+    parallel::for_each_row(columns, 4096, |((pixel, ray), index)| {
         (*pixel, *ray) = target.sample(target.cursor + index.0 as usize);
     });
     Ok(())
@@ -338,8 +338,9 @@ pub fn sample_pixels(
 /// as a hit and has zero radiance.
 pub fn trace_samples(scenery: Res<Scenery>, samples: Samples<(&ViewRay, &mut SurfacePoint)>) -> SystemResult {
     let (rays, mut points) = samples.columns()?;
-    let columns = points.par_iter_mut().zip(&*rays).with_min_len(512);
-    columns.for_each(|(point, ray)| *point = scenery.0.intersect(&ray.0, 0.0).into());
+    parallel::for_each_row((&mut *points, &*rays), 512, |(point, ray)| {
+        *point = scenery.0.intersect(&ray.0, 0.0).into();
+    });
     Ok(())
 }
 

@@ -9,6 +9,7 @@ use bevy_ecs::prelude::{IntoScheduleConfigs, Res};
 use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::{Mat3, Vec3};
 use lobelia_geometry::error::Error;
+use lobelia_geometry::parallel;
 use lobelia_sg::shading::{
     ClosedForm, Layers, Lighting, LobeVisibility, PointVisibility, ShadeCall, ShadePoint, SpecularValue,
 };
@@ -25,7 +26,6 @@ use lobelia_world::{
     light::lights::IncidentLight, material::tilt::DirectionalAlbedo, pipeline::SystemResult,
     pipeline::pool::Columns,
 };
-use rayon::prelude::*;
 
 /// Settings of path tracing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -64,8 +64,8 @@ pub fn gather_points<M: MaterialSource>(
     let (albedo, sheen, tilt) = texels.columns()?;
     let turns = turns.by_view();
     let (points, rays, pixels, mut gathered) = samples.columns()?;
-    let inputs = points.par_iter().zip(&*rays).zip(&*pixels).with_min_len(1024);
-    gathered.par_iter_mut().zip(inputs).for_each(|(out, ((point, ray), pixel))| {
+    let columns = ((&mut *gathered, &*points), (&*rays, &*pixels));
+    parallel::for_each_row(columns, 1024, |((out, point), (ray, pixel))| {
         *out = ShadePoint::default();
         if !point.is_hit() {
             return;

@@ -8,9 +8,9 @@
 
 use bevy_ecs::prelude::Resource;
 use glam::{UVec3, Vec3, Vec4};
+use lobelia_geometry::parallel;
 use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::sdf::volume::SdfSurface;
-use rayon::prelude::*;
 
 pub(crate) const BRICK_SIDE: u32 = 8;
 pub(crate) const BRICK_LEN: usize = 512;
@@ -181,8 +181,8 @@ pub(super) fn write_runs<T: Send>(
     write: impl Fn(usize, VertexRun, &mut [T]) + Sync,
 ) {
     let plane = (grid.side * grid.side) as usize;
-    let layers = dense.par_chunks_mut(plane * BRICK_SIDE as usize).enumerate();
-    layers.for_each(|(layer, part)| {
+    let layers = dense.chunks_mut(plane * BRICK_SIDE as usize).enumerate();
+    parallel::for_each(layers, |(layer, part)| {
         let lowest = layer as u32 * BRICK_SIDE;
         let first = at.partition_point(|brick| brick.0.z < lowest);
         for (brick, at) in at.iter().enumerate().skip(first).take_while(|(_, at)| at.0.z == lowest) {

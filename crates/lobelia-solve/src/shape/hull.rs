@@ -25,12 +25,12 @@ use glam::{Mat3, Vec3};
 use lobelia_geometry::error::stop::{check_interrupted, is_stopping};
 use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_geometry::mesh::triangles::Mesh;
+use lobelia_geometry::parallel;
 use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::view::StoredMask;
 use lobelia_geometry::{Error, Result};
 use lobelia_geometry::{sdf::extract::extract_components, view::Mask, view::raster::signed_distance};
 use lobelia_sg::ray::Ray;
-use rayon::prelude::*;
 
 /// Share of the views that see a point whose masks may be wrong there.
 pub(super) const FORGIVEN: f32 = 0.02;
@@ -110,9 +110,8 @@ pub fn visual_hull(silhouettes: &mut [Silhouette], cells: u32) -> Result<SdfGrid
     // The box around all vertices inside or so near that a thin part may be between them and the
     // next.
     let is_near = |row: &usize| coarse.values[*row] < 0.5 * coarse.spacing;
-    let near = (0..coarse.values.len()).into_par_iter().filter(is_near);
-    let near = near.map(|row| coarse.position(coarse.vertex(row)));
-    let bounds = near.map(|at| (at, at)).reduce_with(|(a, b), (c, d)| (a.min(c), b.max(d)));
+    let near = (0..coarse.values.len()).filter(is_near).map(|row| coarse.position(coarse.vertex(row)));
+    let bounds = near.map(|at| (at, at)).reduce(|(a, b), (c, d)| (a.min(c), b.max(d)));
     let (low, high) = bounds.ok_or_else(|| no_hull(silhouettes, &coarse))?;
     let half = 0.5 * (high - low).max_element() + coarse.spacing;
     let mut hull = carve(silhouettes, (0.5 * (low + high), half), cells, Some(&coarse));
@@ -177,15 +176,16 @@ fn hull_distance(silhouettes: &[Silhouette], point: Vec3, forgiven: f32, outside
 fn no_hull(silhouettes: &[Silhouette], coarse: &SdfGrid) -> Error {
     let seen = |point: Vec3| silhouettes.iter().filter_map(move |s| Some((s, s.world_distance(point)?)));
     // The point that most masks show, and of those the one least outside.
-    let agreement = |row: &usize| {
-        let point = coarse.position(coarse.vertex(*row));
+    let agreement = |row: usize| {
+        let point = coarse.position(coarse.vertex(row));
         let inside = seen(point).filter(|(_, distance)| *distance < 0.0).count();
-        (inside, std::cmp::Reverse(*row))
+        (inside, std::cmp::Reverse(row))
     };
-    let best = (0..coarse.values.len()).into_par_iter().max_by_key(agreement).unwrap_or(0);
+    let agreements = parallel::map(coarse.values.len(), 1024, agreement).into_iter();
+    let (inside, std::cmp::Reverse(best)) = agreements.max().unwrap_or_default();
     let point = coarse.position(coarse.vertex(best));
     let worst = seen(point).max_by(|a, b| a.1.total_cmp(&b.1)).map_or(&silhouettes[0], |worst| worst.0);
-    let (inside, all) = (agreement(&best).0, silhouettes.len());
+    let all = silhouettes.len();
     let problem = format!(
         "no point of space is inside all masks: the best is in {inside} of {all}; view `{}` is farthest off",
         worst.name
@@ -221,7 +221,7 @@ pub(super) fn trim(grid: &mut SdfGrid, silhouettes: &mut [Silhouette]) {
 /// Restores what all masks but a share of `forgiven` show and `grid` lacks. Changed values are not
 /// exact distances. A run that is stopping ([`is_stopping`]) restores not all.
 pub(super) fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f32) {
-    let gaps: Vec<Silhouette> = silhouettes.par_iter().filter_map(|view| gaps(grid, view)).collect();
+    let gaps: Vec<Silhouette> = parallel::flat_map(silhouettes.len(), 1, |i| gaps(grid, &silhouettes[i]));
     let needed = GAP_VIEWS.max((GAP_SHARE * silhouettes.len() as f32).ceil() as usize);
     if gaps.len() < needed {
         return;
@@ -286,7 +286,7 @@ pub fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<Vec<Stri
         });
         if all == 0 { 1.0 } else { hit as f32 / all as f32 }
     };
-    let mut shares: Vec<_> = silhouettes.par_iter().map(|view| (covered(view), view.name.as_str())).collect();
+    let mut shares: Vec<_> = parallel::map_slice(silhouettes, 1, |view| (covered(view), view.name.as_str()));
     check_interrupted()?;
     shares.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(b.1)));
     let percent = |share: f32| (100.0 * share).round();
@@ -320,8 +320,7 @@ pub(super) fn reliable_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
         let hit = || hull.first_crossing(&view.ray(i), 0.0).is_some();
         if far && view.is_inner(i) && hit() != (view.distance(i) < 0.0) { 1.0 } else { 0.0 }
     };
-    let pixels = (0..view.pixel_count()).into_par_iter().with_min_len(1024);
-    let wrong: Vec<f32> = pixels.map(contradicts).collect();
+    let wrong: Vec<f32> = parallel::map(view.pixel_count(), 1024, contradicts);
     let to_wrong = wrong
         .contains(&1.0)
         .then(|| signed_distance(&wrong, view.camera.width as usize, view.camera.height as usize));
@@ -343,7 +342,7 @@ fn carve_distance(view: &Silhouette, sighting: &Sighting) -> Option<f32> {
 /// judged by a surface that all masks but a few agree on. When a run is stopping ([`is_stopping`])
 /// the marks are of no use.
 fn mark_trusted(silhouettes: &mut [Silhouette], surface: &SdfGrid) {
-    silhouettes.par_iter_mut().for_each(|view| view.carves = Some(view.outside()));
+    parallel::for_each(silhouettes.iter_mut(), |view| view.carves = Some(view.outside()));
     // The surface without what each mask carves alone.
     let carved = |row: usize| {
         let value = surface.values[row];
@@ -354,10 +353,10 @@ fn mark_trusted(silhouettes: &mut [Silhouette], surface: &SdfGrid) {
         let distances = silhouettes.iter().filter_map(|view| carve_distance(view, &view.look(point)?));
         value.max(distances.fold(f32::NEG_INFINITY, f32::max))
     };
-    let values = (0..surface.values.len()).into_par_iter().map(carved).collect();
+    let values = parallel::map(surface.values.len(), 1024, carved);
     let carved = SdfGrid { values, ..*surface };
     let check = |view: &Silhouette| takers(view, silhouettes, surface, &carved);
-    let checks: Vec<(usize, Vec<usize>)> = silhouettes.par_iter().map(check).collect();
+    let checks: Vec<(usize, Vec<usize>)> = parallel::map_slice(silhouettes, 1, check);
     let most = TAKEN_SHARE * checks.iter().map(|(checked, _)| *checked as f32).sum::<f32>();
     let mut taken = vec![0; silhouettes.len()];
     checks.iter().flat_map(|(_, takers)| takers).for_each(|taker| taken[*taker] += 1);
@@ -410,16 +409,16 @@ pub fn extract_parts(grid: &SdfGrid, silhouettes: &[Silhouette]) -> Mesh {
         let asked = (0..view.pixel_count()).filter(is_asked).filter(|i| view.is_within(*i, PART_DEPTH));
         asked.map(|i| view.ray(i)).filter(|ray| largest.nearest(ray, 0.0).is_none()).collect()
     };
-    let mut missing: Vec<Vec<Ray>> = silhouettes.par_iter().map(missing).collect();
+    let mut missing: Vec<Vec<Ray>> = parallel::map_slice(silhouettes, 1, missing);
     let needed = MIN_VIEWS.max((PART_SHARE * silhouettes.len() as f32).ceil() as usize);
     for other in others {
         let bvh = TriangleBvh::new(&other);
         let meets = |ray: &&Ray| bvh.nearest(ray, 0.0).is_some();
-        let shows = |rays: &&Vec<Ray>| rays.iter().filter(meets).take(PART_PIXELS).count() == PART_PIXELS;
-        if missing.par_iter().filter(shows).count() < needed {
+        let shows = |rays: &Vec<Ray>| rays.iter().filter(meets).take(PART_PIXELS).count() == PART_PIXELS;
+        if parallel::map_slice(&missing, 1, shows).into_iter().filter(|shows| *shows).count() < needed {
             continue;
         }
-        missing.par_iter_mut().for_each(|rays| rays.retain(|ray| !meets(&ray)));
+        parallel::for_each(&mut missing, |rays| rays.retain(|ray| !meets(&ray)));
         let first = mesh.positions.len() as u32;
         mesh.positions.extend(other.positions);
         mesh.normals.extend(other.normals);

@@ -20,9 +20,9 @@ use glam::{IVec3, UVec3, Vec2, Vec3};
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_geometry::mesh::triangles::{Side, sorted_sides};
+use lobelia_geometry::parallel;
 use lobelia_geometry::sdf::SdfGrid;
 use lobelia_sg::ray::Ray;
-use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Rounds: a moved surface has other contours.
@@ -199,7 +199,7 @@ pub(crate) fn outline_votes(
         }
         seen
     };
-    let seen: Vec<Vec<Seen>> = silhouettes.par_iter().map(seen_by).collect();
+    let seen: Vec<Vec<Seen>> = parallel::map_slice(silhouettes, 1, seen_by);
     let all = || seen.iter().flatten();
     let (count, sum) = all().fold((0, 0.0), |(n, sum), s| (n + 1, sum + f64::from(s.distance.abs())));
     let mean_distance = (sum / f64::from(count.max(1))) as f32;
@@ -256,12 +256,12 @@ fn displace(grid: &mut SdfGrid, bvh: &TriangleBvh, shell: &Shell, along: &[f32])
         let along = along[i].clamp(-most, most);
         within_room(bvh, shell.positions[i], shell.normals[i], along, LIFT * grid.spacing)
     };
-    let along: Vec<f32> = (0..along.len()).into_par_iter().map(room).collect();
+    let along: Vec<f32> = parallel::map(along.len(), 64, room);
     let plane = (grid.side * grid.side) as usize;
     let mut sums = vec![[0.0f32; 2]; grid.values.len()];
     // Each task has some layers of the grid, and the vertices in their order: their displacements
     // are carried to the grid around them.
-    sums.par_chunks_mut(LAYERS * plane).enumerate().for_each(|(task, sums)| {
+    parallel::for_each(sums.chunks_mut(LAYERS * plane).enumerate(), |(task, sums)| {
         let layers = (task * LAYERS) as u32..(task * LAYERS + sums.len() / plane) as u32;
         let first = grid.index(UVec3::new(0, 0, layers.start));
         for ((position, normal), along) in shell.positions.iter().zip(&shell.normals).zip(&along) {
@@ -283,8 +283,11 @@ fn displace(grid: &mut SdfGrid, bvh: &TriangleBvh, shell: &Shell, along: &[f32])
             }
         }
     });
-    let moved = grid.values.par_iter_mut().zip(&sums).filter(|(_, sum)| sum[1] > 1e-12);
-    moved.for_each(|(value, [sum, weight])| *value -= sum / weight);
+    parallel::for_each_row((&mut *grid.values, &*sums), 1024, |(value, [sum, weight])| {
+        if *weight > 1e-12 {
+            *value -= sum / weight;
+        }
+    });
     grid.redistance_near();
 }
 

@@ -6,11 +6,11 @@ use crate::shape::silhouette::{Silhouette, pixel_size};
 use glam::{Vec3, Vec3A};
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::mesh::bvh::TriangleBvh;
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Camera, Photograph, PixelWindow, Placement, StoredMask, ViewIndex};
 use lobelia_sg::color::srgb_from_linear;
 use lobelia_sg::ray::Ray;
 use lobelia_sg::statistics::median;
-use rayon::prelude::*;
 use std::ops::RangeInclusive;
 
 /// Coverage of a block of pixels from which it shows the object alone.
@@ -119,7 +119,7 @@ impl<V: PixelValue> SmallPicture<V> {
     /// The photographs, `factor` times smaller along each axis; those with empty masks are left
     /// out.
     pub fn of_views(views: &[TrainingView], factor: u32) -> Vec<Self> {
-        views.par_iter().filter_map(|view| Self::new(view, factor)).collect()
+        parallel::flat_map(views.len(), 1, |i| Self::new(&views[i], factor))
     }
 
     fn new(view: &TrainingView, factor: u32) -> Option<Self> {

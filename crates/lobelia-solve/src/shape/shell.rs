@@ -3,8 +3,8 @@
 
 use glam::Vec3;
 use lobelia_geometry::mesh::triangles::Mesh;
+use lobelia_geometry::parallel;
 use lobelia_sg::linear::conjugate_gradients;
-use rayon::prelude::*;
 
 /// Iterations of conjugate gradients for smoothing, and for plates.
 const ROUNDS: usize = 24;
@@ -52,7 +52,7 @@ impl VertexGraph {
     /// A value for each vertex, from it and its neighbors.
     fn each(&self, value: impl Fn(usize, &[u32]) -> f32 + Sync) -> Vec<f32> {
         let count = self.starts.len() - 1;
-        (0..count).into_par_iter().with_min_len(TASK).map(|i| value(i, self.around(i))).collect()
+        parallel::map(count, TASK, |i| value(i, self.around(i)))
     }
 
     /// (I + λL)⁻¹ b.

@@ -8,9 +8,10 @@ use crate::fit::{components::StepRates, exposure::Exposures};
 use crate::shape::field::{
     BAND_CELLS, BrickAt, ModelError, RunValues, SampleAdjoint, SdfField, VertexRun, each, write_runs,
 };
-use crate::shape::silhouette::{SilhouetteSample, SilhouetteSamples, aligned_silhouette, loss_derivative};
+use crate::shape::silhouette::{SilhouetteSamples, aligned_silhouette, loss_derivative};
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With};
 use glam::{Vec3, Vec4};
+use lobelia_geometry::parallel;
 use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex};
 use lobelia_sg::shading::{Layers, PointAdjoint};
@@ -19,7 +20,6 @@ use lobelia_world::pipeline::SystemResult;
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay};
 use lobelia_world::sample::point::SurfacePoint;
-use rayon::prelude::*;
 use std::ops::Range;
 
 /// Schedule of the optimization of the shape.
@@ -83,15 +83,16 @@ pub fn pull_back_to_field(
     let (points, rays, back) = samples.columns()?;
     let SdfField { surface, adjoint, .. } = &mut *field;
     let limit = OUTLIER * root_mean_square(&back);
-    let pulled = |(point, (ray, back)): (&SurfacePoint, (&ViewRay, &PointAdjoint))| {
+    let pulled = |i: usize| {
+        let (point, ray, back) = (&points[i], &rays[i], &back[i]);
         let by_normal = Vec3::from(back.normal).clamp_length_max(limit);
         let along = Vec3::from(back.albedo);
         let value = |row: u32| texels[row as usize].0.dot(along);
         let by_position = surface.volume.gradient(point.position, &point.texels, value);
         SampleAdjoint::new(&surface.grid, point.position, ray.0.direction, by_normal, by_position)
     };
-    let samples = points.par_iter().zip(rays.par_iter().zip(&*back)).with_min_len(64);
-    let pulled: Vec<SampleAdjoint> = samples.filter(|(point, _)| point.is_hit()).map(pulled).collect();
+    let pulled: Vec<SampleAdjoint> =
+        parallel::flat_map(points.len(), 64, |i| points[i].is_hit().then(|| pulled(i)));
     pulled.iter().for_each(|sample| adjoint.add(&surface.grid, sample));
     Ok(())
 }
@@ -154,12 +155,13 @@ pub fn align_silhouettes(
     let Some(center) = fit.center.filter(|_| rates.step >= FIRST_STEP) else { return Ok(()) };
     let mut views: ByView<_> = views.iter_mut().map(|view| (*view.0, view)).collect();
     let grid = &field.surface.grid;
-    let row = |sample: &SilhouetteSample| {
+    let samples = &samples.0[schedule.silhouette_rows(rates.step, samples.0.len())];
+    let row = |i: usize| {
+        let sample = &samples[i];
         let (_, camera, _) = views.of(sample.pixel.view).ok()?;
         Some((sample.pixel.view, aligned_silhouette(grid, camera, center, sample)?))
     };
-    let samples = &samples.0[schedule.silhouette_rows(rates.step, samples.0.len())];
-    let rows: Vec<(ViewIndex, AlignedRow)> = samples.par_iter().with_min_len(64).filter_map(row).collect();
+    let rows: Vec<(ViewIndex, AlignedRow)> = parallel::flat_map(samples.len(), 64, row);
     add_rows(1, &rows, &mut fit, &mut guard, &mut views)?;
     Ok(())
 }
@@ -177,7 +179,7 @@ pub fn pull_back_silhouettes(
     let width = 4.0 - 3.0 * progress;
     let SdfField { surface, adjoint, .. } = &mut *field;
     let derivative = |sample| loss_derivative(&surface.grid, sample, width);
-    let derivatives: Vec<_> = samples.par_iter().with_min_len(64).map(derivative).collect();
+    let derivatives: Vec<_> = parallel::map_slice(samples, 64, derivative);
     let each = schedule.silhouette / samples.len().max(1) as f32;
     for (position, derivative) in derivatives.into_iter().flatten() {
         adjoint.add_value(&surface.grid, position, each * derivative);
@@ -218,7 +220,7 @@ pub fn smooth_gradient(
     }
     let gradient = &scratch[1];
     let is_bad = |at: &BrickAt| at.runs(grid).any(|run| !is_usable(&gradient[run.rows()]));
-    if let Some(bad) = at.par_iter().with_min_len(16).position_first(is_bad) {
+    if let Some(bad) = parallel::map_slice(at, 16, is_bad).into_iter().position(|is_bad| is_bad) {
         let Vec3 { x, y, z } = grid.position(at[bad].0);
         guard.find("the gradient", None, format!("the field near ({x:.3}, {y:.3}, {z:.3})"));
         adjoint.value.fill(0.0);
@@ -282,7 +284,7 @@ pub fn move_bricks(rates: Res<StepRates>, schedule: Res<ShapeSchedule>, mut fiel
     let (first, last) = schedule.rates;
     let h = grid.spacing;
     let scale = first * (last / first).powf(progress) * h / rms;
-    moments.par_iter_mut().zip(&*at).with_min_len(16).for_each(|(moments, at)| {
+    parallel::for_each_row((&mut **moments, &**at), 16, |(moments, at)| {
         for run in at.runs(grid) {
             for (mean, g) in moments[run.places()].iter_mut().zip(&gradient[run.rows()]) {
                 *mean = MEAN_DECAY * *mean + (1.0 - MEAN_DECAY) * g;

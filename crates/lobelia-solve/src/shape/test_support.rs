@@ -2,10 +2,10 @@
 
 use crate::shape::{pictures::TrainingView, silhouette::Silhouette};
 use glam::Vec3;
+use lobelia_geometry::parallel;
 use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::view::{Camera, Image, Mask, Photograph, Placement, StoredMask, ViewIndex};
 use lobelia_sg::ray::{Hit, Intersect, Ray, TexelAddress};
-use rayon::prelude::*;
 
 pub(crate) fn around(count: usize, distance: f32, size: u32) -> Vec<Camera> {
     Camera::around(count, distance, 40.0, size).unwrap()
@@ -14,8 +14,8 @@ pub(crate) fn around(count: usize, distance: f32, size: u32) -> Vec<Camera> {
 /// The mask of `camera` in which rays are covered to this part, by their number and themselves.
 pub(crate) fn mask(camera: &Camera, covered: impl Fn(&Ray) -> f32 + Sync) -> StoredMask {
     let (width, height) = (camera.width, camera.height);
-    let coverage =
-        (0..width * height).into_par_iter().map(|pixel| covered(&camera.pixel_ray(pixel))).collect();
+    let covered = |pixel: usize| covered(&camera.pixel_ray(pixel as u32));
+    let coverage = parallel::map((width * height) as usize, 1024, covered);
     StoredMask::new(&Mask { width, height, coverage })
 }
 
@@ -63,7 +63,7 @@ impl Pictures {
             let photograph = Photograph::of_image(&Image { width, height, pixels });
             (photograph, StoredMask::new(&Mask { width, height, coverage }))
         };
-        let (photographs, masks) = cameras.par_iter().map(picture).unzip();
+        let (photographs, masks) = parallel::map_slice(&cameras, 1, picture).into_iter().unzip();
         Self { cameras, photographs, masks }
     }
 

@@ -12,8 +12,8 @@
 use crate::shape::{cube, is_border, silhouette::Silhouette, volume};
 use glam::Vec3;
 use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::parallel;
 use lobelia_geometry::sdf::SdfGrid;
-use rayon::prelude::*;
 
 /// Cosine of the angle between ray and normal from which one view, and from which each of two, sees
 /// a surface: flatter rays only touch the cone that the masks leave.
@@ -68,7 +68,7 @@ pub(super) fn span_unseen(grid: &mut SdfGrid, silhouettes: &[Silhouette], most: 
                 let value = hull.values[row];
                 if is_seen[row] { value } else { value.max(film.value(hull.position(hull.vertex(row)))) }
             };
-            grid.values = (0..is_seen.len()).into_par_iter().map(value).collect();
+            grid.values = parallel::map(is_seen.len(), 1024, value);
             grid.redistance_near();
         }
         settle(grid, &hull.values, &is_seen, steps);
@@ -97,12 +97,13 @@ fn settle(grid: &mut SdfGrid, hull: &[f32], is_seen: &[bool], steps: usize) {
         let near: Vec<usize> = (0..hull.len()).filter(is_near).collect();
         for _ in 0..REDISTANCE {
             // Those in the band move by mean curvature, not outward.
-            let moved = |&row: &usize| {
+            let moved = |i: usize| {
+                let row = near[i];
                 let value = grid.values[row];
                 let speed = if value.abs() < reach { curvature(grid, row) } else { None }?;
                 Some((row, (value + time * speed).max(hull[row])))
             };
-            let band: Vec<(usize, f32)> = near.par_iter().filter_map(moved).collect();
+            let band: Vec<(usize, f32)> = parallel::flat_map(near.len(), 1024, moved);
             band.into_iter().for_each(|(row, value)| grid.values[row] = value);
         }
         grid.redistance_near();
@@ -142,7 +143,7 @@ fn curvature(grid: &SdfGrid, row: usize) -> Option<f32> {
 /// The vertices within a cell of those around the surface that is seen: steeply by one view, or by
 /// two.
 fn seen(grid: &SdfGrid, silhouettes: &[Silhouette]) -> Vec<bool> {
-    let of_views: Vec<_> = silhouettes.par_iter().map(|view| seen_by(grid, view)).collect();
+    let of_views: Vec<_> = parallel::map_slice(silhouettes, 1, |view| seen_by(grid, view));
     let mut sightings = vec![0u8; grid.values.len()];
     for (row, is_steep) in of_views.into_iter().flatten() {
         sightings[row] = sightings[row].saturating_add(if is_steep { 2 } else { 1 });
@@ -154,7 +155,7 @@ fn seen(grid: &SdfGrid, silhouettes: &[Silhouette]) -> Vec<bool> {
 /// The vertices within a cell of those that are marked.
 fn grown(grid: &SdfGrid, marked: &[bool]) -> Vec<bool> {
     let is_near = |row: usize| cube(grid, row).any(|(other, _)| marked[other]);
-    (0..grid.values.len()).into_par_iter().map(is_near).collect()
+    parallel::map(grid.values.len(), 1024, is_near)
 }
 
 /// Evenly spread pixels of a view's mask.
@@ -195,7 +196,7 @@ fn lost(hull: &SdfGrid, now: &SdfGrid, silhouettes: &[Silhouette]) -> Vec<bool> 
         let met = rays.filter_map(|ray| Some(ray.origin + ray.direction * hull.first_crossing(&ray, 0.0)?));
         met.flat_map(|point| hull.corners(point).map(|(row, _)| row)).collect()
     };
-    let rows: Vec<Vec<usize>> = silhouettes.par_iter().map(of_view).collect();
+    let rows: Vec<Vec<usize>> = parallel::map_slice(silhouettes, 1, of_view);
     let mut is_lost = vec![false; hull.values.len()];
     rows.into_iter().flatten().for_each(|row| is_lost[row] = true);
     is_lost

@@ -17,12 +17,12 @@ use glam::Vec3;
 use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_geometry::mesh::triangles::Mesh;
 use lobelia_geometry::mesh::{Surface, bvh::TriangleHit};
+use lobelia_geometry::parallel;
 use lobelia_sg::shading::PointAdjoint;
 use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::ViewRay;
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
-use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Steps between two moves; adjoints are summed over these.
@@ -110,7 +110,8 @@ pub fn retrace_vertices(
     let (rays, mut points) = samples.columns()?;
     let MovingMesh { surface, found, .. } = &mut *mesh;
     found.resize(rays.len(), None);
-    points.par_iter_mut().zip(&*rays).zip(found).with_min_len(256).for_each(|((point, ray), found)| {
+    let columns = ((&mut *points, &*rays), &mut **found);
+    parallel::for_each_row(columns, 256, |((point, ray), found)| {
         *found = surface.nearest(&ray.0, 0.0);
         let hit = found.map(|found| surface.hit(found));
         *point = hit.filter(|hit| hit.normal.dot(ray.0.direction) < 0.0).into();

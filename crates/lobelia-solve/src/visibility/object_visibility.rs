@@ -9,11 +9,11 @@ use bevy_ecs::prelude::{Entity, Resource};
 use fearless_simd::{Level, dispatch};
 use glam::{Mat3, Vec3};
 use lobelia_geometry::mesh::Surface;
+use lobelia_geometry::parallel;
 use lobelia_sg::fibonacci::fibonacci_axes;
 use lobelia_sg::shading::{LobeColumns, LobeVisibility, PointVisibility};
 use lobelia_world::sample::pixel::PixelOf;
 use lobelia_world::sample::point::SurfacePoint;
-use rayon::prelude::*;
 use std::any::TypeId;
 use std::sync::Arc;
 
@@ -32,6 +32,8 @@ const MOST_ROWS: usize = 1 << 18;
 
 /// Distance of two points that may have what one of them mirrors, in radii of the object.
 const NEAR: f32 = 0.01;
+/// Points that a thread takes at a time.
+const TASK: usize = 256;
 
 /// Settings of shadows and interreflection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -143,7 +145,7 @@ impl ObjectVisibility {
         let (distinct, of_view) = distinct_turns(turns);
         self.sky_of_view = of_view;
         let sky = |turn: &Mat3| Sky::new(&self.texels.directions, lobes, turn.transpose());
-        self.skies = distinct.par_iter().map(sky).collect();
+        self.skies = parallel::map_slice(&distinct, 1, sky);
         self.stride = lobes.stride();
         let of_skies = self.direct();
         let bounces = self.settings.bounces;
@@ -195,9 +197,8 @@ impl ObjectVisibility {
         );
         rows.stride = self.stride;
         rows.rows.resize(points.len() * self.stride, 255);
-        let outputs = rows.rows.par_chunks_mut(self.stride.max(1)).zip(&mut *seen);
-        let each = outputs.zip(points).enumerate().with_min_len(256);
-        each.for_each_init(Behind::default, |behind, (i, ((parts, seen), point))| {
+        let fill = |i: usize, parts: &mut [u8], seen: &mut PointVisibility, behind: &mut Behind| {
+            let point = &points[i];
             *seen = PointVisibility::OPEN;
             parts.fill(255);
             let Some(blend) = self.blend(point).filter(|_| point.is_hit()) else { return };
@@ -224,6 +225,13 @@ impl ObjectVisibility {
             let bounce = &self.bounces[number.min(self.bounces.len() - 1)];
             let around = Surroundings { visibility: &self.texels, sky, bounce, rays };
             *seen = around.of(&blend, &at(i));
+        };
+        let stride = self.stride.max(1);
+        let tasks = rows.rows.chunks_mut(TASK * stride).zip(seen.chunks_mut(TASK)).enumerate();
+        parallel::for_each(tasks, |(task, (parts, seen))| {
+            let mut behind = Behind::default();
+            let outputs = (task * TASK..).zip(parts.chunks_mut(stride).zip(seen));
+            outputs.for_each(|(i, (parts, seen))| fill(i, parts, seen, &mut behind));
         });
         (0..points.len()).filter(|i| firsts[*i] != *i).for_each(|i| seen[i] = seen[firsts[i]]);
     }

@@ -9,11 +9,11 @@
 use crate::visibility::texel_visibility::{TOGETHER, TexelVisibility};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
+use lobelia_geometry::parallel;
 use lobelia_sg::lanes::{Lanes, MAX_LANES, Row};
 use lobelia_sg::real::{Real, dot};
 use lobelia_sg::shading::LobeColumns;
 use lobelia_sg::{accurate::diffuse::cosine_integral, brdf::ndf_sharpness, sg::sphere_integral};
-use rayon::prelude::*;
 use std::ops::Range;
 
 /// Least sharpness of a lobe.
@@ -107,7 +107,7 @@ impl Sky {
             Row(std::array::from_fn(weight))
         };
         let of_group = |group: usize| directions.iter().map(move |direction| weights_at(group, *direction));
-        sky.weights = (0..stride / MAX_LANES).into_par_iter().flat_map_iter(of_group).collect();
+        sky.weights = parallel::flat_map(stride / MAX_LANES, 1, of_group);
         // The sum of all lobes at each direction.
         let sum_at = |direction: usize| {
             let columns = &sky.lobes;
@@ -116,7 +116,7 @@ impl Sky {
             let radiance = |i: usize| Vec3::new(columns[4][i], columns[5][i], columns[6][i]);
             weights.map(|(i, weight)| radiance(i) * *weight).sum::<Vec3>()
         };
-        let radiance: Vec<Vec3> = (0..directions.len()).into_par_iter().map(sum_at).collect();
+        let radiance: Vec<Vec3> = parallel::map(directions.len(), 1, sum_at);
         sky.radiance = std::array::from_fn(|c| radiance.iter().map(|r| r[c]).collect());
         sky
     }
@@ -171,10 +171,10 @@ pub(crate) fn light_rows(visibility: &TexelVisibility, sky: &Sky, parts: &mut Ve
     if stride == 0 {
         return direct;
     }
-    let chunks = parts.par_chunks_mut(CHUNK * stride).zip(direct.par_chunks_mut(CHUNK));
-    chunks.enumerate().for_each_init(Behind::default, |behind, (chunk, (parts, direct))| {
+    let chunks = parts.chunks_mut(CHUNK * stride).zip(direct.chunks_mut(CHUNK));
+    parallel::for_each(chunks.enumerate(), |(chunk, (parts, direct))| {
         let first = chunk * CHUNK;
-        light_chunk(visibility, sky, first..first + direct.len(), behind, (parts, direct));
+        light_chunk(visibility, sky, first..first + direct.len(), &mut Behind::default(), (parts, direct));
     });
     direct
 }
@@ -322,7 +322,7 @@ impl Bounce {
         of: &(dyn Fn(u32) -> Reflectance + Sync),
         bounces: u32,
     ) -> Self {
-        let rows = 0..visibility.row_count();
+        let rows = visibility.row_count();
         let values = |Reflectance { diffuse, specular, roughness }: Reflectance| {
             [(diffuse + specular).min(Vec3::ONE), diffuse.min(Vec3::ONE), specular, Vec3::splat(roughness)]
         };
@@ -330,7 +330,7 @@ impl Bounce {
         let radiance = |albedo: Vec3, irradiance: Vec3| albedo * irradiance * std::f32::consts::FRAC_1_PI;
         let sent = |row: usize, irradiance: Vec3| radiance(reflectance[row][0], irradiance);
         let mut leaving: Vec<Vec3> = direct.iter().enumerate().map(|(row, e)| sent(row, *e)).collect();
-        let mut indirect = vec![Vec3::ZERO; visibility.row_count()];
+        let mut indirect = vec![Vec3::ZERO; rows];
         for _ in 0..bounces {
             // From the texels that occlude directions.
             let gathered = |row: usize| {
@@ -341,7 +341,7 @@ impl Bounce {
                 });
                 light.sum::<Vec3>() * cell_angle(visibility)
             };
-            indirect = rows.clone().into_par_iter().map(gathered).collect();
+            indirect = parallel::map(rows, 64, gathered);
             let both = direct.iter().zip(&indirect).enumerate();
             leaving = both.map(|(row, (direct, indirect))| sent(row, *direct + *indirect)).collect();
         }
@@ -350,7 +350,7 @@ impl Bounce {
             let diffuse = radiance(diffuse, direct[row] + indirect[row]);
             Mirror { diffuse, albedo, sharpness: ndf_sharpness(roughness.x) }
         };
-        let mirrors = rows.into_par_iter().map(mirror).collect();
+        let mirrors = parallel::map(rows, 64, mirror);
         Self { indirect, leaving, mirrors }
     }
 }

@@ -14,8 +14,8 @@
 use glam::Vec3;
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::mesh::atlas::TexelAtlas;
+use lobelia_geometry::parallel;
 use lobelia_sg::ray::Intersect;
-use rayon::prelude::*;
 
 /// Most directions.
 pub(crate) const MAX_DIRECTIONS: usize = 4096;
@@ -97,7 +97,7 @@ impl TexelVisibility {
             let hidden: Vec<u64> = directions.chunks(64).map(word).collect();
             (hidden, hiders)
         };
-        let traced: Vec<(Vec<u64>, Vec<u32>)> = texels.par_iter().with_min_len(CHUNK).map(trace).collect();
+        let traced: Vec<(Vec<u64>, Vec<u32>)> = parallel::map_slice(&texels, CHUNK, trace);
         let row_of = |texel: &u32| rows.get(*texel as usize).copied().unwrap_or(Self::NONE);
         let ends = traced.iter().scan(0, |end, (_, hiders)| {
             *end += hiders.len() as u32;

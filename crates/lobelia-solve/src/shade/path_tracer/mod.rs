@@ -18,12 +18,12 @@ use crate::shade::sampling::sobol::Sequence;
 use crate::shade::sampling::{Scattered, Scatterer, above_zero, power_heuristic};
 use glam::{DVec3, Vec3};
 use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::parallel;
 use lobelia_sg::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
 use lobelia_world::material::tilt::DirectionalAlbedo;
 use lobelia_world::material::{
     DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, Shown, SpecularBlend, SpecularLobe,
 };
-use rayon::prelude::*;
 
 /// The scene that is rendered.
 #[derive(Clone, Copy)]
@@ -171,7 +171,7 @@ pub fn shade_points(
     out: &mut [PathEstimate],
 ) {
     debug_assert_eq!(queries.len(), out.len());
-    out.par_chunks_mut(CHUNK).zip(queries.par_chunks(CHUNK)).for_each(|(out, queries)| {
+    parallel::for_each(out.chunks_mut(CHUNK).zip(queries.chunks(CHUNK)), |(out, queries)| {
         for (estimate, query) in out.iter_mut().zip(queries) {
             if is_stopping() {
                 return;

@@ -14,8 +14,8 @@ use super::radiance_field::{FieldRay, FieldRays, RadianceField, depth, march};
 use crate::shape::{cube, flood, neighbors, size};
 use glam::{Vec3, Vec4, Vec4Swizzles};
 use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::parallel;
 use lobelia_geometry::sdf::SdfGrid;
-use rayon::prelude::*;
 
 /// Before the depth at which half of the light is stopped, and behind it, space counts as that
 /// where a ray is stopped, in cells.
@@ -51,7 +51,7 @@ pub(super) fn emptiness(grid: &SdfGrid, field: &RadianceField, rays: &FieldRays)
         let others = cube(grid, field.vertices[row] as usize).map(|(other, _)| field.rows[other] as usize);
         others.filter(|other| *other > 0).map(|other| evidence[other]).sum()
     };
-    let smooth: Vec<Evidence> = (0..evidence.len()).into_par_iter().map(around).collect();
+    let smooth: Vec<Evidence> = parallel::map(evidence.len(), 1024, around);
     let is_accepted = accepted(grid, field, &evidence, &smooth);
     let of_vertex = |vertex: usize| {
         let row = field.rows[vertex] as usize;
@@ -66,7 +66,7 @@ pub(super) fn emptiness(grid: &SdfGrid, field: &RadianceField, rays: &FieldRays)
             -1.0
         }
     };
-    (0..grid.values.len()).into_par_iter().map(of_vertex).collect()
+    parallel::map(grid.values.len(), 1024, of_vertex)
 }
 
 /// Squared error of each ray if the surface is opaque: its colors are those of a trilinear lattice
@@ -90,7 +90,7 @@ fn surface_errors(field: &RadianceField, rays: &FieldRays) -> Vec<f32> {
             *color += RELAXATION * sum.xyz() / sum.w;
         }
     }
-    rays.rays.par_iter().map(|ray| missing(&colors, ray).2.length_squared()).collect()
+    parallel::map_slice(&rays.rays, CHUNK, |ray| missing(&colors, ray).2.length_squared())
 }
 
 /// Sums over rays at a vertex: rays that pass, rays that are stopped, and the squared errors of
@@ -100,16 +100,17 @@ type Evidence = Vec4;
 /// Squared error of each ray with the field, and the depth at which it is stopped, infinite if it
 /// is not.
 fn field_errors(field: &RadianceField, rays: &FieldRays) -> Vec<[f32; 2]> {
-    let of_chunk = |chunk: &[FieldRay]| {
+    let chunks: Vec<&[FieldRay]> = rays.rays.chunks(CHUNK).collect();
+    let of_chunk = |chunk: usize| {
         let mut samples = Vec::new();
         let of_ray = |ray: &FieldRay| {
             let (line, shown) = rays.of(ray);
             let (color, _) = march(field, &line, ray.surface, 0.0, &mut samples);
             [(color - shown).length_squared() + NOISE, depth(&samples).unwrap_or(f32::INFINITY)]
         };
-        chunk.iter().map(of_ray).collect::<Vec<_>>()
+        chunks[chunk].iter().map(of_ray).collect::<Vec<_>>()
     };
-    rays.rays.par_chunks(CHUNK).flat_map_iter(of_chunk).collect()
+    parallel::flat_map(chunks.len(), 1, of_chunk)
 }
 
 /// The evidence at the vertex of each row; `by_surface` are the errors of the rays if the surface
@@ -148,8 +149,8 @@ fn summed(rays: &[FieldRay], rows: usize, add: impl Fn(&mut [Vec4], usize, &Fiel
         }
         sums
     };
-    let parts: Vec<Vec<Vec4>> = rays.par_chunks(length).enumerate().map(part).collect();
-    (0..rows).into_par_iter().map(|row| parts.iter().map(|part| part[row]).sum()).collect()
+    let parts: Vec<Vec<Vec4>> = parallel::map_items(rays.chunks(length).enumerate(), part);
+    parallel::map(rows, CHUNK, |row| parts.iter().map(|part| part[row]).sum())
 }
 
 /// Which rows are in connected spaces that the field explains far better, as a whole, than an

@@ -32,9 +32,9 @@ use evidence::emptiness;
 use glam::Vec3;
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::mesh::bvh::TriangleBvh;
+use lobelia_geometry::parallel;
 use lobelia_geometry::sdf::SdfGrid;
 use radiance_field::{FieldRay, FieldRays, fit};
-use rayon::prelude::*;
 
 /// Pixels of a picture per cell of the grid.
 const PIXELS_PER_CELL: f32 = 1.5;
@@ -82,7 +82,7 @@ pub(super) fn carve_hollows(
             let sources: Vec<_> = near.into_iter().map(|j| (&pictures[j], &*seen[j])).collect();
             compare(&bvh, &pictures[i], &seen[i], &sources)
         };
-        let depths: Vec<Vec<f32>> = (0..pictures.len()).into_par_iter().map(depths_of).collect();
+        let depths: Vec<Vec<f32>> = parallel::map(pictures.len(), 1, depths_of);
         if is_stopping() {
             break;
         }
@@ -133,11 +133,11 @@ pub(super) fn look_through(
 /// it, which the masks contradict, and what is restored there may be a lid.
 pub(super) fn keep_empty(grid: &mut SdfGrid, empty: &SdfGrid) {
     let kept = |row: usize| grid.values[row].max(empty.value(grid.position(grid.vertex(row))));
-    grid.values = (0..grid.values.len()).into_par_iter().map(kept).collect();
+    grid.values = parallel::map(grid.values.len(), 1024, kept);
 }
 
 fn cast_all(bvh: &TriangleBvh, pictures: &[ColorPicture]) -> Vec<Vec<Seen>> {
-    pictures.par_iter().map(|picture| picture.cast(bvh)).collect()
+    parallel::map_slice(pictures, 1, |picture| picture.cast(bvh))
 }
 
 /// How many times smaller than the photographs the pictures are that are compared.
@@ -149,7 +149,6 @@ fn factor(grid: &SdfGrid, views: &[TrainingView]) -> u32 {
 /// Removes what enough pictures look through; `depths` are those that their pixels show, 0 where
 /// that is not known.
 fn remove(grid: &mut SdfGrid, pictures: &[ColorPicture], depths: &[Vec<f32>]) {
-    let rows = || (0..grid.values.len()).into_par_iter();
     // How many pictures look through a vertex, less those that show a surface there.
     let votes_at = |row: usize| {
         if grid.values[row] > 2.0 * grid.spacing || is_stopping() {
@@ -169,7 +168,7 @@ fn remove(grid: &mut SdfGrid, pictures: &[ColorPicture], depths: &[Vec<f32>]) {
         };
         pictures.iter().zip(depths).map(vote).sum()
     };
-    let votes: Vec<f32> = rows().map(votes_at).collect();
+    let votes: Vec<f32> = parallel::map(grid.values.len(), 1024, votes_at);
     // The mean of the votes around a vertex, with weights 4, 2, 1 and ½ for itself and its
     // neighbors across faces, edges and corners.
     let spread = |row: usize| {
@@ -184,7 +183,8 @@ fn remove(grid: &mut SdfGrid, pictures: &[ColorPicture], depths: &[Vec<f32>]) {
         }
         sum / weights
     };
-    let empty: Vec<f32> = rows().map(|row| (spread(row) / ENOUGH - 1.0).clamp(-1.0, 1.0)).collect();
+    let empty = |row: usize| (spread(row) / ENOUGH - 1.0).clamp(-1.0, 1.0);
+    let empty: Vec<f32> = parallel::map(grid.values.len(), 1024, empty);
     carve(grid, &empty);
 }
 
@@ -201,7 +201,7 @@ fn carve(grid: &mut SdfGrid, empty: &[f32]) {
         let (value, is_near) = (grid.values[row], || around(row).any(|other| is_outside[other]));
         if is_outside[row] || is_near() { value.max(empty[row] * grid.spacing) } else { value }
     };
-    grid.values = rows.into_par_iter().map(carved).collect();
+    grid.values = parallel::map(empty.len(), 1024, carved);
     grid.redistance();
 }
 

@@ -18,10 +18,10 @@
 use crate::shape::{neighbors, pictures::ColorPicture, size};
 use glam::{UVec3, Vec3, Vec4, Vec4Swizzles};
 use lobelia_geometry::error::stop::is_stopping;
+use lobelia_geometry::parallel;
 use lobelia_geometry::sdf::SdfGrid;
 use lobelia_sg::ray::Ray;
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
-use rayon::prelude::*;
 
 /// How far outside the surface the field reaches, in cells.
 const REACH: f32 = 1.0;
@@ -309,8 +309,8 @@ fn optimize(field: &mut RadianceField, all: &FieldRays, steps: u32, random: &mut
     for step in (0..steps).take_while(|_| !rays.is_empty() && !is_stopping()) {
         let picks: Vec<(usize, f32)> =
             (0..RAYS).map(|_| (random.random_range(0..rays.len()), random.random())).collect();
-        let chunks = picks.par_chunks(RAYS.div_ceil(parts));
-        gradients.par_iter_mut().zip(chunks).for_each(|(gradient, picks)| {
+        let chunks = gradients.iter_mut().zip(picks.chunks(RAYS.div_ceil(parts)));
+        parallel::for_each(chunks, |(gradient, picks)| {
             gradient.fill(Vec4::ZERO);
             let mut samples = Vec::new();
             for (ray, jitter) in picks {
@@ -325,7 +325,7 @@ fn optimize(field: &mut RadianceField, all: &FieldRays, steps: u32, random: &mut
         let rate = LAST_RATE.powf(step as f32 / steps as f32);
         let rates = rate * Vec3::splat(COLOR_RATE).extend(DENSITY_RATE);
         let unbiased = (1.0 - DECAY.0.powi(step as i32 + 1), 1.0 - DECAY.1.powi(step as i32 + 1));
-        let moved = |(row, [first, second]): (usize, &mut [Vec4; 2])| {
+        let moved = |row: usize, [first, second]: &mut [Vec4; 2]| {
             let value = field.values[row];
             let mut gradient: Vec4 = gradients.iter().map(|gradient| gradient[row]).sum();
             if row == 0 {
@@ -337,7 +337,10 @@ fn optimize(field: &mut RadianceField, all: &FieldRays, steps: u32, random: &mut
             let root = (*second / unbiased.1).map(f32::sqrt) + Vec4::splat(SMALLEST);
             value - rates * (*first / unbiased.0) / root
         };
-        field.values = moments.par_iter_mut().enumerate().map(moved).collect();
+        let mut values = vec![Vec4::ZERO; count];
+        let columns = ((&mut *values, &mut *moments), 0..count);
+        parallel::for_each_row(columns, 1024, |((value, moments), row)| *value = moved(row, moments));
+        field.values = values;
     }
 }
 

@@ -34,11 +34,11 @@ use glam::{Mat3, Vec2, Vec3};
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_geometry::mesh::triangles::Mesh;
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::raster::bilinear;
 use lobelia_sg::ray::Ray;
 use lobelia_sg::statistics::median;
 use lobelia_world::light::placement::PlacedFrame;
-use rayon::prelude::*;
 use std::f32::consts::TAU;
 use std::ops::ControlFlow;
 
@@ -230,12 +230,13 @@ impl<'a> Model<'a> {
 
     fn solve_colors(&mut self) {
         let of_vertex = |i: usize| self.moments(i, self.normals[i]).map_or(self.colors[i], |m| m.colors());
-        self.colors = (0..self.normals.len()).into_par_iter().map(of_vertex).collect();
+        self.colors = parallel::map(self.normals.len(), 1024, of_vertex);
     }
 
     /// Sums over what a sight adds: the direction, the factor there, and what is to be explained.
     fn sums(&self, part: impl Fn(&VertexSight, Vec3, &VertexColors) -> [Vec3; 3] + Sync) -> Vec<CellSums> {
-        let of_chunk = |first: usize| {
+        let of_chunk = |chunk: usize| {
+            let first = chunk * CHUNK;
             let mut sums = vec![CellSums::default(); SIDE * SIDE];
             for i in first..(first + CHUNK).min(self.normals.len()) {
                 for sight in self.sights[i].iter().filter(|sight| self.counts(sight)) {
@@ -245,8 +246,7 @@ impl<'a> Model<'a> {
             }
             sums
         };
-        let starts: Vec<usize> = (0..self.normals.len()).step_by(CHUNK).collect();
-        let parts: Vec<Vec<CellSums>> = starts.into_par_iter().map(of_chunk).collect();
+        let parts: Vec<Vec<CellSums>> = parallel::map(self.normals.len().div_ceil(CHUNK), 1, of_chunk);
         let mut all = vec![CellSums::default(); SIDE * SIDE];
         for part in &parts {
             for (sum, part) in all.iter_mut().zip(part) {
@@ -294,14 +294,13 @@ impl<'a> Model<'a> {
             let best = tried.min_by(|a, b| a.0.total_cmp(&b.0));
             best.map_or(self.normals[i], |(_, normal)| normal)
         };
-        let best: Vec<Vec3> =
-            (0..self.normals.len()).into_par_iter().with_min_len(SEARCHED).map(of_vertex).collect();
+        let best: Vec<Vec3> = parallel::map(self.normals.len(), SEARCHED, of_vertex);
         let drawn = |i: usize| {
             let near = graph.around(i);
             let mean = near.iter().map(|&j| best[j as usize]).sum::<Vec3>() / near.len().max(1) as f32;
             best[i].lerp(mean, DRAWN).normalize_or(best[i])
         };
-        self.normals = (0..best.len()).into_par_iter().map(drawn).collect();
+        self.normals = parallel::map(best.len(), 1024, drawn);
         self.solve_colors();
     }
 
@@ -363,12 +362,12 @@ fn sights(
             let [to_view, radiance] = shown_by(view, &bvh, shell.positions[i], normals[i], lift)?;
             Some((i as u32, to_view, radiance))
         };
-        (0..normals.len()).into_par_iter().filter_map(of_vertex).collect()
+        parallel::flat_map(normals.len(), 1024, of_vertex)
     };
     let mut all = vec![Vec::new(); normals.len()];
     // Some views at a time: what all of them show would be in memory twice.
     for (first, some) in (0..).step_by(AT_A_TIME).zip(views.chunks(AT_A_TIME)) {
-        let shown: Vec<_> = some.par_iter().map(of_view).collect();
+        let shown: Vec<_> = parallel::map_slice(some, 1, of_view);
         for (view, (TrainingView { camera, placement, .. }, shown)) in (first..).zip(some.iter().zip(shown)) {
             let light_from_world =
                 frame.light_from_world(camera.world_from_camera.matrix3.into(), *placement);
@@ -514,7 +513,7 @@ impl DirectionTable {
             }
             products / squares
         };
-        let mut cells: Vec<Vec3> = (0..SIDE * SIDE).into_par_iter().map(smooth).collect();
+        let mut cells: Vec<Vec3> = parallel::map(SIDE * SIDE, 1, smooth);
         if let Some(share) = share {
             let squares = sums.iter().map(|sums| sums.squares.element_sum() / 3.0);
             let mut seen: Vec<f32> = squares.filter(|square| *square > 0.0).collect();

@@ -22,6 +22,7 @@ use bevy_ecs::prelude::{IntoScheduleConfigs, With, World};
 use glam::Vec3;
 use lobelia_geometry::error::stop::{check_interrupted, is_stopping};
 use lobelia_geometry::mesh::triangles::Mesh;
+use lobelia_geometry::parallel;
 use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::sdf::volume::{SdfSurface, TexelVolume};
 use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, Split, ViewIndex, ViewMask, ViewName};
@@ -38,7 +39,6 @@ use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot};
 use lobelia_world::sample::point::Scenery;
 use lobelia_world::{checkpoint, pipeline::pool::despawn_rows};
 use rand::{SeedableRng, rngs::SmallRng, seq::SliceRandom};
-use rayon::prelude::*;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use tracing::info_span;
@@ -142,7 +142,8 @@ fn training_views(world: &mut World) -> Vec<TrainingView<'_>> {
 /// The silhouettes of the training masks, in the order of their views.
 pub fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
     let views = training_views(world);
-    views.par_iter().filter(|_| !is_stopping()).filter_map(TrainingView::silhouette).collect()
+    let silhouette = |i: usize| if is_stopping() { None } else { views[i].silhouette() };
+    parallel::flat_map(views.len(), 1, silhouette)
 }
 
 /// Fits shape, light and material. `watch` is called after every step, with the current
@@ -355,13 +356,16 @@ fn with_texels(
 /// shuffled; at most `most`.
 fn silhouette_samples(hull: &SdfGrid, views: &[Silhouette], seed: u64, most: usize) -> Vec<SilhouetteSample> {
     // Silhouette and pixel: a sample is ten times as large.
-    let near_one = |(number, silhouette): (u32, &Silhouette)| {
+    let near_one = |number: usize| {
+        if is_stopping() {
+            return Vec::new();
+        }
+        let silhouette = &views[number];
         let reliable = reliable_pixels(hull, silhouette);
         let is_near = |&i: &usize| reliable[i] && silhouette.distance(i).abs() < SILHOUETTE_REACH;
-        (0..reliable.len()).filter(is_near).map(|i| (number, i as u32)).collect::<Vec<_>>()
+        (0..reliable.len()).filter(is_near).map(|i| (number as u32, i as u32)).collect()
     };
-    let numbered = (0..views.len() as u32).into_par_iter().zip(views);
-    let mut near: Vec<(u32, u32)> = numbered.filter(|_| !is_stopping()).flat_map_iter(near_one).collect();
+    let mut near: Vec<(u32, u32)> = parallel::flat_map(views.len(), 1, near_one);
     near.shuffle(&mut SmallRng::seed_from_u64(seed));
     near.truncate(most);
     let sample = |(number, pixel): (u32, u32)| SilhouetteSample::new(&views[number as usize], pixel);

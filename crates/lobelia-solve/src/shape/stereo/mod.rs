@@ -28,9 +28,9 @@ use glam::Vec3;
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_geometry::mesh::triangles::Mesh;
+use lobelia_geometry::parallel;
 use lobelia_geometry::view::Placement;
 use lobelia_sg::statistics::median;
-use rayon::prelude::*;
 use std::ops::ControlFlow;
 use sweep::{Matched, Sweep, neighbors, sweep};
 
@@ -227,13 +227,13 @@ fn moved_positions(
         let to = position + step;
         if missed(to) > missed(position) { Vec3::ZERO } else { to - position }
     };
-    let steps = (0..positions.len()).into_par_iter().map(step).collect();
+    let steps = parallel::map(positions.len(), 64, step);
     unfolded(graph, positions, steps)
 }
 
 fn all_votes(bvh: &TriangleBvh, shell: &Shell, pictures: &[MatchPicture], search: Sweep) -> Vec<Votes> {
     let (center, _) = bvh.bounding_sphere();
-    let seen: Vec<Vec<Seen>> = pictures.par_iter().map(|picture| picture.cast(bvh)).collect();
+    let seen: Vec<Vec<Seen>> = parallel::map_slice(pictures, 1, |picture| picture.cast(bvh));
     let of_views = |views: &&[usize]| {
         let mut votes = vec![Votes::default(); shell.positions.len()];
         for &i in views.iter().take_while(|_| !is_stopping()) {
@@ -249,7 +249,7 @@ fn all_votes(bvh: &TriangleBvh, shell: &Shell, pictures: &[MatchPicture], search
     // Chunks of fixed size, added in order: the same bits with any number of threads.
     let all: Vec<usize> = (0..pictures.len()).step_by(pixels.div_ceil(MOST_PIXELS).max(1)).collect();
     let chunks: Vec<&[usize]> = all.chunks(all.len().div_ceil(CHUNKS).max(1)).collect();
-    let parts: Vec<Vec<Votes>> = chunks.par_iter().map(of_views).collect();
+    let parts: Vec<Vec<Votes>> = parallel::map_slice(&chunks, 1, of_views);
     let mut sums = vec![Votes::default(); shell.positions.len()];
     for part in parts {
         sums.iter_mut().zip(part).for_each(|(sum, votes)| sum.add(&votes, 1.0));
@@ -417,17 +417,18 @@ fn smooth_step(x: f32, (low, high): (f32, f32)) -> f32 {
 /// the mean along the surface, as a part of that and the variance over the views.
 pub(crate) fn pattern_shares(mesh: &Mesh, shell: &Shell, pictures: &[MatchPicture]) -> Vec<f32> {
     let bvh = TriangleBvh::new(mesh);
-    let seen: Vec<Vec<Seen>> = pictures.par_iter().map(|picture| picture.cast(&bvh)).collect();
+    let seen: Vec<Vec<Seen>> = parallel::map_slice(pictures, 1, |picture| picture.cast(&bvh));
     // Whether enough views show a vertex, and the mean and variance over these views.
-    let of_vertex = |(at, normal): (&Vec3, &Vec3)| {
+    let of_vertex = |i: usize| {
+        let (at, normal) = (shell.positions[i], shell.normals[i]);
         let (mut count, mut sum, mut squares) = (0, 0.0, 0.0);
-        let values = pictures.iter().zip(&seen).filter_map(|(p, seen)| shown_by(p, seen, *at, *normal));
+        let values = pictures.iter().zip(&seen).filter_map(|(p, seen)| shown_by(p, seen, at, normal));
         values.for_each(|value| (count, sum, squares) = (count + 1, sum + value, squares + value * value));
         let mean = sum / count as f32;
         let variance = (squares / count as f32 - mean * mean).max(0.0);
         if count >= LEAST_VIEWS { [1.0, mean, variance] } else { [0.0; 3] }
     };
-    let shown: Vec<[f32; 3]> = shell.positions.par_iter().zip(&shell.normals).map(of_vertex).collect();
+    let shown: Vec<[f32; 3]> = parallel::map(shell.positions.len(), 1024, of_vertex);
     let smooth = |value: fn(&[f32; 3]) -> f32| {
         shell.graph.smoothed(&shown.iter().map(value).collect::<Vec<f32>>(), WIDE)
     };

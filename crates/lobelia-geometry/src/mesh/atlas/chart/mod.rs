@@ -8,10 +8,10 @@ mod flatten;
 mod segment;
 
 use crate::mesh::triangles::{DisjointSets, Mesh, sorted_sides};
+use crate::parallel;
 use crate::{Result, error::stop::check_interrupted};
 use flatten::{Tolerance, flatten};
 use glam::{DVec2, DVec3};
-use rayon::prelude::*;
 use segment::{RegionNode, RegionTree};
 use std::collections::BTreeMap;
 
@@ -73,7 +73,8 @@ pub fn charts(mesh: &Mesh) -> Result<Vec<Chart>> {
             let try_whole = level < LEVELS.0 || tree.counts[*node as usize] <= LEVELS.1;
             Ok(try_whole.then(|| chart_of(&topology, tree.triangles(*node), &USUAL)).flatten())
         };
-        let tried: Vec<Option<Chart>> = open.par_iter().map(flat).collect::<Result<_>>()?;
+        let tried: Vec<Result<Option<Chart>>> = parallel::map_slice(&open, 1, flat);
+        let tried = tried.into_iter().collect::<Result<Vec<_>>>()?;
         level += 1;
         for (node, chart) in std::mem::take(&mut open).into_iter().zip(tried) {
             match (chart, tree.nodes[node as usize]) {

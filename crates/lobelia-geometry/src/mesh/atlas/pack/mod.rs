@@ -9,9 +9,9 @@
 mod page;
 
 use super::chart::Chart;
+use crate::parallel;
 use glam::{DVec2, UVec2, Vec2Swizzles};
 use page::{CellMask, Page};
-use rayon::prelude::*;
 use std::collections::HashMap;
 
 /// Texels between two charts that neither touches, at least.
@@ -45,7 +45,8 @@ pub(crate) fn pack(charts: &mut [Chart], size: u32) -> bool {
     if charts.is_empty() {
         return true;
     }
-    let corners: Vec<DVec2> = charts.par_iter_mut().map(|chart| set_upright(&mut chart.places)).collect();
+    let upright = |chart: &mut Chart| set_upright(&mut chart.places);
+    let corners: Vec<DVec2> = parallel::map_items(charts.iter_mut(), upright);
     let packing = Packing::new(charts, &corners, size);
     let Some((scale, placed)) = packing.largest() else { return false };
     let cell = f64::from(packing.cell);
@@ -198,15 +199,15 @@ impl<'a> Packing<'a> {
     /// The charts' cells in each quarter turn, at a scale in texels per world unit.
     fn masks(&self, scale: f64) -> Vec<[CellMask; 4]> {
         let scale = scale / f64::from(self.cell);
-        let of_chart = |(chart, corner): (&Chart, &DVec2)| {
-            let corner = *corner * scale;
+        let of_chart = |i: usize| {
+            let (chart, corner) = (&self.charts[i], self.corners[i] * scale);
             [0, 1, 2, 3].map(|turn| {
                 let place = |v: u32| turned(chart.places[v as usize] * scale, corner, turn).max(DVec2::ZERO);
                 let far = if turn % 2 == 0 { corner } else { corner.yx() };
                 CellMask::new(chart.triangles.iter().map(|t| t.map(place)), far)
             })
         };
-        self.charts.par_iter().zip(self.corners).map(of_chart).collect()
+        parallel::map(self.charts.len(), 1, of_chart)
     }
 }
 
