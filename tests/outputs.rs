@@ -19,7 +19,7 @@ fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
 fn refused(data: &Data, scene: &str, out: &str, words: &[&str]) {
     data.write("scene.ron", scene);
     let before = contents(data.root());
-    data.run(scene, out, &["--quiet", "--force"]).refused(words);
+    data.run(scene, out, &["--quiet", "--force", "--profile"]).refused(words);
     assert!(before == contents(data.root()), "something was changed");
 }
 
@@ -57,10 +57,11 @@ fn passes_called_as_folders_of_the_data_replace_nothing() {
 #[test]
 fn force_replaces_what_a_run_wrote_and_nothing_else() {
     let data = Data::new();
-    data.run(&usual(), "out", &["--quiet"]).succeeded();
+    data.run(&usual(), "out", &["--quiet", "--profile"]).succeeded();
     data.write("out/mine/notes.txt", "mine");
     data.write("out/novel/notes.txt", "mine");
-    data.run(&usual(), "out", &["--quiet", "--force"]).succeeded();
+    data.run(&usual(), "out", &["--quiet", "--force", "--profile"]).succeeded();
+    assert!(data.text("out/profile.txt").contains("pass fit"));
     // A pass that would meet a file of another's.
     data.write("out/mine/light.npy", "mine");
     let mine = scene(r#"Fit(name: "mine", steps: 4)"#);

@@ -44,8 +44,7 @@ impl Profiler {
         Ok(Self { sums, began: Instant::now(), trace })
     }
 
-    /// Prints the table on standard error, and writes it and the trace into the output folder, if
-    /// there is one.
+    /// Prints the table on standard error, and writes it and the trace into the output folder.
     pub fn finish(self, out: &Path) -> Result<()> {
         // A line per name, the longest time first; spans inside others count in both.
         let sums = self.sums.lock().unwrap_or_else(PoisonError::into_inner);
@@ -58,9 +57,6 @@ impl Profiler {
         }
         drop(sums);
         let _ = io::stderr().write_all(table.as_bytes());
-        if !out.is_dir() {
-            return Ok(());
-        }
         std::fs::write(out.join(TABLE), table).map_err(Error::io("write", out.join(TABLE)))?;
         let Some((mut file, guard)) = self.trace else { return Ok(()) };
         // Waits until all is written.

@@ -3,6 +3,7 @@
 use super::start::{Choices, SceneArgs, ThreadArgs, choices, load_options, start_threads, stop_on_signals};
 use super::{profile::Profiler, terminal::JsonLog, terminal::Terminal};
 use clap::{ArgAction, Args};
+use lobelia::error::stop::is_stopping;
 use lobelia::scene::load;
 use lobelia::shade::device::ShadingDevice;
 use lobelia::{Result, pass, pass::RunOptions, pass::memory::usual_budget, pass::progress::Progress};
@@ -107,5 +108,9 @@ fn carry_out(args: &RunArgs, shown: &dyn Progress) -> Result<()> {
     stop_on_signals()?;
     let profiler = args.profile.map(Profiler::start).transpose()?;
     let ended = pass::run(&loaded, &options, shown);
-    ended.and(profiler.map_or(Ok(()), |profiler| profiler.finish(&options.out)))
+    match profiler {
+        Some(profiler) if ended.is_ok() || is_stopping() => ended.and(profiler.finish(&options.out)),
+        // A run that was refused writes nothing.
+        _ => ended,
+    }
 }

@@ -16,7 +16,9 @@ use std::{collections::BTreeSet, ffi::OsStr, fs, path::Component, path::Path, pa
 const PROGRAM: &str = "lobelia";
 
 /// The files of a run that are of no pass, besides the manifest.
-const OF_RUN: [&str; 4] = [METRICS, REPORT, "profile.txt", "trace.json"];
+const OF_RUN: [&str; 4] = [METRICS, REPORT, PROFILES[0], PROFILES[1]];
+/// Those of `--profile`, which are written after the last manifest.
+const PROFILES: [&str; 2] = ["profile.txt", "trace.json"];
 
 /// How far something is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -261,7 +263,9 @@ impl Claim {
             let help = "Choose another folder with --out. What an older version wrote is best moved away or removed.";
             return Err(Error::usage(problem, help));
         }
-        let old = BTreeSet::from_iter(all_existing(out, before.iter().flat_map(Record::listed)));
+        let profiles = before.iter().flat_map(|_| PROFILES).map(str::to_owned);
+        let mut old = BTreeSet::from_iter(all_existing(out, before.iter().flat_map(Record::listed)));
+        old.extend(profiles.filter(|file| is_there(&out.join(file))));
         for folder in plan.iter().flat_map(folders_of).map(|folder| out.join(folder)) {
             resume::check_no_link(&folder)?;
         }
