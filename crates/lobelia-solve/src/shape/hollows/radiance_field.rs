@@ -40,7 +40,9 @@ const MOST_SAMPLES: usize = 400;
 const FAINT: f32 = 1e-5;
 /// Steps on the grid of half as many cells, and on the grid itself.
 const STEPS: [u32; 2] = [600, 400];
-const RAYS: usize = 6144;
+/// Rays of a step: one for so many vertices of the field, at most so many.
+const VERTICES_PER_RAY: usize = 4;
+const MOST_RAYS: usize = 6144;
 /// Adam: largest step of color and density, what is left of it at the end, decay of both moments,
 /// smallest divisor.
 const COLOR_RATE: f32 = 0.05;
@@ -303,13 +305,14 @@ pub(super) fn fit(grid: &SdfGrid, rays: &FieldRays) -> RadianceField {
 fn optimize(field: &mut RadianceField, all: &FieldRays, steps: u32, random: &mut SmallRng) {
     let rays = &all.rays;
     let count = field.values.len();
+    let rays_per_step = (count / VERTICES_PER_RAY).clamp(1, MOST_RAYS);
     let parts = rayon::current_num_threads().min(MOST_PARTS);
     let mut gradients = vec![vec![Vec4::ZERO; count]; parts];
     let mut moments = vec![[Vec4::ZERO; 2]; count];
     for step in (0..steps).take_while(|_| !rays.is_empty() && !is_stopping()) {
         let picks: Vec<(usize, f32)> =
-            (0..RAYS).map(|_| (random.random_range(0..rays.len()), random.random())).collect();
-        let chunks = gradients.iter_mut().zip(picks.chunks(RAYS.div_ceil(parts)));
+            (0..rays_per_step).map(|_| (random.random_range(0..rays.len()), random.random())).collect();
+        let chunks = gradients.iter_mut().zip(picks.chunks(rays_per_step.div_ceil(parts)));
         parallel::for_each(chunks, |(gradient, picks)| {
             gradient.fill(Vec4::ZERO);
             let mut samples = Vec::new();
@@ -318,7 +321,7 @@ fn optimize(field: &mut RadianceField, all: &FieldRays, steps: u32, random: &mut
                 // through the whole object.
                 let (line, shown) = all.of(&rays[*ray]);
                 let (color, passing) = march(field, &line, rays[*ray].surface, *jitter, &mut samples);
-                let scale = 1.0 / RAYS as f32;
+                let scale = 1.0 / rays_per_step as f32;
                 pull_back(&samples, 2.0 * scale * (color - shown), LEAK * scale * passing, gradient);
             }
         });

@@ -11,7 +11,7 @@ fn patterned() -> Pictures {
 
 /// A ball whose color depends on the place and on the direction in which a ray goes on from there.
 fn pictures(views: usize, color: impl Fn(Vec3, Vec3) -> Vec3 + Sync) -> Pictures {
-    Pictures::new(around(views, 3.5, 160), |_, ray| {
+    Pictures::new(around(views, 3.5, 128), |_, ray| {
         let p = ray.origin + ray.direction * meets_ball(ray, Vec3::ZERO, 1.0)?;
         Some(color(p, ray.direction - p * (2.0 * p.dot(ray.direction))))
     })
