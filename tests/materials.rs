@@ -41,7 +41,7 @@ const LIGHT: [&str; 5] = [
 ];
 
 fn known_light(truth: &str, material: &str, more: &str, lobes: usize) -> String {
-    let [count, size] = if lobes < 5 { ["8", "40"] } else { ["24", "64"] };
+    let [count, size] = if lobes < 5 { ["8", "40"] } else { ["16", "48"] };
     let light = format!("[{}]", LIGHT[..lobes].join(", "));
     let words =
         [("COUNT", count), ("SIZE", size), ("TRUTH", truth), ("LIGHT", &light), ("MATERIAL", material)];
@@ -191,12 +191,11 @@ fn blends_that_cannot_be_are_refused() {
 fn metal(edits: &str) -> String {
     let light = LIGHT[..4].join(", ");
     let words = [
-        ("count: 16, test: 3", "count: 20, test: 2"),
         ("albedo: (0.3, 0.3, 0.3), roughness: 0.3", "albedo: (0.04, 0.04, 0.04), roughness: 0.5, ndf: Ggx"),
         ("(axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.4, 0.4, 0.4)),", ""),
         ("(axis: (0.8, 0.5, 0.4), sharpness: 20, amplitude: (4, 4, 4)),", &light),
-        ("light: Unknown(lobes: 32),", ""),
-        ("steps: 250, batch: 2048", "steps: 300, batch: 512"),
+        ("lobes: 32", "lobes: 48"),
+        ("steps: 200, batch: 1024", "steps: 300, batch: 512"),
     ];
     lamp(&format!("edits: [{edits}],"), "", &words)
 }

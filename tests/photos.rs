@@ -144,7 +144,7 @@ fn a_camera_that_is_off_is_moved_back_and_written_down() {
 #[test]
 fn moved_vertices_and_a_found_focal_length_are_saved() {
     let data = photographs();
-    let levels = "Shape(levels: [(cells: 32, texel_cells: 16, steps: 100, hold: 10)], batch: 1024, cameras: PosesAndFocal), \
+    let levels = "Shape(levels: [(cells: 32, texel_cells: 16, steps: 100, hold: 10)], batch: 512, cameras: PosesAndFocal), \
                   Fit(vertices: true, name";
     let scene = SCENE.replace("Fit(name", levels).replace("Export(name: \"export\")", "Save()");
     data.run(&scene, "out", &["--quiet"]).succeeded();

@@ -158,7 +158,7 @@ fn a_shape_goes_on_from_the_last_level_that_was_done() {
 
 /// A fit, and another that takes some seconds.
 fn long_fits() -> String {
-    let passes = r#"Fit(name: "fit", steps: 10, batch: 64), Fit(name: "again", steps: 800, batch: 64, vertices: true), Save(),"#;
+    let passes = r#"Fit(name: "fit", steps: 10, batch: 64), Fit(name: "again", steps: 500, batch: 64, vertices: true), Save(),"#;
     scene("", passes)
 }
 

@@ -335,7 +335,8 @@ fn stanford_orb_is_relit_by_the_maps_of_each_picture() {
     let short = text
         .replace("surface: Unknown()", "surface: Mesh(path: \"$DATA/mesh.glb\", texture_size: 32)")
         .replace("Shape(),", "")
-        .replace("vertices: true, detail: true, steps: 1200", "steps: 300, batch: 1024");
+        .replace("rotation_degrees:", "lobes: 24, rotation_degrees:")
+        .replace("vertices: true, detail: true, steps: 1200", "steps: 150, batch: 512");
     let run = |text: &str, name: &str| {
         data.write("prepared/scene.ron", text);
         let into = format!("prepared/{name}");
