@@ -51,7 +51,7 @@ pub fn map_items<T: Send, R: Send>(
 }
 
 /// Calls `task` with each row of columns; `grain` as for [`map`]. Rows without an element in each column are left out.
-pub fn for_each_row<C: Columns>(columns: C, grain: usize, task: impl Fn(C::Row) + Sync) {
+pub fn for_each_row<C: Rows>(columns: C, grain: usize, task: impl Fn(C::Row) + Sync) {
     let count = columns.count();
     let parts = parts(count, grain);
     let (mut rest, mut divided) = (columns, Vec::with_capacity(parts));
@@ -65,7 +65,7 @@ pub fn for_each_row<C: Columns>(columns: C, grain: usize, task: impl Fn(C::Row) 
 }
 
 /// What [`for_each_row`] divides by rows: slices, ranges, and pairs of columns.
-pub trait Columns: Send + Sized {
+pub trait Rows: Send + Sized {
     /// The elements of a row.
     type Row;
     /// The number of rows.
@@ -76,7 +76,7 @@ pub trait Columns: Send + Sized {
     fn rows(self) -> impl Iterator<Item = Self::Row>;
 }
 
-impl<'a, T: Sync> Columns for &'a [T] {
+impl<'a, T: Sync> Rows for &'a [T] {
     type Row = &'a T;
 
     fn count(&self) -> usize {
@@ -92,7 +92,7 @@ impl<'a, T: Sync> Columns for &'a [T] {
     }
 }
 
-impl<'a, T: Send> Columns for &'a mut [T] {
+impl<'a, T: Send> Rows for &'a mut [T] {
     type Row = &'a mut T;
 
     fn count(&self) -> usize {
@@ -108,7 +108,7 @@ impl<'a, T: Send> Columns for &'a mut [T] {
     }
 }
 
-impl Columns for Range<usize> {
+impl Rows for Range<usize> {
     type Row = usize;
 
     fn count(&self) -> usize {
@@ -125,7 +125,7 @@ impl Columns for Range<usize> {
     }
 }
 
-impl<A: Columns, B: Columns> Columns for (A, B) {
+impl<A: Rows, B: Rows> Rows for (A, B) {
     type Row = (A::Row, B::Row);
 
     fn count(&self) -> usize {
