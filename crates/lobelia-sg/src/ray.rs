@@ -1,5 +1,16 @@
 //! Rays, hits, and the two interfaces of a scene: intersection of rays with the surface, and
-//! incident light.
+//! incident light. A surface or a light of your own implements one of them.
+//!
+//! ```
+//! use lobelia_sg::light::{LightLobe, illuminate::LobeLight};
+//! use lobelia_sg::ray::Illuminate;
+//!
+//! let light = LobeLight::new(&LightLobe::even(8));
+//! let sample = light.sample([0.3, 0.6, 0.1]);
+//! assert!((sample.direction.length() - 1.0).abs() < 1e-5);
+//! assert!(light.radiance(sample.direction).distance(sample.radiance) < 1e-3);
+//! assert!((light.pdf(sample.direction) / sample.pdf - 1.0).abs() < 1e-3);
+//! ```
 
 use glam::{Vec2, Vec3};
 
