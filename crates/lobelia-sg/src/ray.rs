@@ -2,14 +2,15 @@
 //! incident light. A surface or a light of your own implements one of them.
 //!
 //! ```
-//! use lobelia_sg::light::{LightLobe, illuminate::LobeLight};
+//! use lobelia_sg::color::luminance;
+//! use lobelia_sg::light::{LightLobe, illuminate::LobeLight, lobes_power};
 //! use lobelia_sg::ray::Illuminate;
 //!
-//! let light = LobeLight::new(&LightLobe::even(8));
-//! let sample = light.sample([0.3, 0.6, 0.1]);
-//! assert!((sample.direction.length() - 1.0).abs() < 1e-5);
-//! assert!(light.radiance(sample.direction).distance(sample.radiance) < 1e-3);
-//! assert!((light.pdf(sample.direction) / sample.pdf - 1.0).abs() < 1e-3);
+//! let lobes = LightLobe::even(8);
+//! let sample = LobeLight::new(&lobes).sample([0.3, 0.6, 0.1]);
+//! // Directions are drawn in proportion to radiance, so that each sample tells the whole power.
+//! let power = luminance(sample.radiance) / sample.pdf;
+//! assert!((power / luminance(lobes_power(&lobes).as_vec3()) - 1.0).abs() < 1e-3);
 //! ```
 
 use glam::{Vec2, Vec3};
