@@ -3,6 +3,20 @@
 //!
 //! Only pixels in the mask count. Masks are eroded by one pixel first (`erode`), so that pixels on
 //! the silhouette, which depend on coverage and not on material, are left out.
+//!
+//! ```
+//! use lobelia::glam::Vec3;
+//! use lobelia::report::metrics::{ImagePair, ScaleSums, psnr};
+//!
+//! let (prediction, truth) = ([Vec3::splat(0.6); 64], [Vec3::splat(0.5); 64]);
+//! let mask = [true; 64];
+//! let pair = ImagePair::new([8, 8], &prediction, &truth, &mask)?;
+//! assert!((psnr(&pair) - 20.0).abs() < 1e-4);
+//! let mut sums = ScaleSums::default();
+//! sums.add(&pair);
+//! assert!((sums.scale()[0] - 0.5 / 0.6).abs() < 1e-6);
+//! # Ok::<(), lobelia::Error>(())
+//! ```
 
 use glam::{DVec3, Vec3};
 use lobelia_geometry::parallel;

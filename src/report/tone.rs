@@ -1,5 +1,15 @@
 //! Linear radiance as pictures: exposure, tone curve, backdrop, 8-bit sRGB; heat maps of errors of
-//! radiance; and small JPEGs for pages, of a size that keeps a page within its budget.
+//! radiance; and small JPEGs for pages, of a size that keeps a page within its budget. An exposure
+//! is in stops, and is applied before the curve.
+//!
+//! ```
+//! use lobelia::glam::Vec3;
+//! use lobelia::report::tone::{Look, Tone, srgb8};
+//!
+//! let look = Look { exposure: 1.0, tone: Tone::Srgb };
+//! assert_eq!(look.develop(Vec3::new(0.25, 0.4, 0.75)), Vec3::new(0.5, 0.8, 1.0));
+//! assert_eq!(srgb8(Vec3::new(0.0, 0.5, 2.0)), [0, 188, 255]);
+//! ```
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use glam::{Mat3, Vec3};

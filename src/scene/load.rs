@@ -1,5 +1,21 @@
 //! Reading a scene file: `--set`, parsing, paths and checks, each error with a caret. Nothing is
 //! written.
+//!
+//! ```
+//! use lobelia::scene::{LoadOptions, load, to_ron};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("scene.ron");
+//! let text = r#"(version: 1, seed: 3, surface: Sphere(),
+//!     views: Cameras([(name: "front", eye: (0, 0, 3))]))"#;
+//! std::fs::write(&path, text)?;
+//! let sets = vec![("seed".to_owned(), "7".to_owned())];
+//! let scene = load(&path, &LoadOptions { sets, ..LoadOptions::default() })?.scene;
+//! assert_eq!(scene.seed, 7);
+//! std::fs::write(&path, to_ron(&scene)?)?;
+//! assert_eq!(load(&path, &LoadOptions::default())?.scene, scene);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::scene::diagnostic::{Problem, SceneText};
 use crate::scene::{Edit, Scene, VERSION, ron_tree, ron_tree::Node, source::set, validate::check};

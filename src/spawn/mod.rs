@@ -1,5 +1,25 @@
 //! From a scene to a world: the surface, the views, the light and the material as resources and
-//! entities.
+//! entities. What is unknown begins with the values that a fit starts from.
+//!
+//! ```
+//! use lobelia::prelude::*;
+//! use lobelia::scene::{LoadOptions, load};
+//! use lobelia::spawn::{SurfaceUse, make_surface, spawn};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("scene.ron");
+//! let text = r#"(version: 1, surface: Box(texture_size: 16),
+//!     views: Cameras([(name: "front", eye: (0, 0, 3))]))"#;
+//! std::fs::write(&path, text)?;
+//! let scene = load(&path, &LoadOptions::default())?.scene;
+//! let surface = Arc::new(make_surface(&scene.surface, &[], SurfaceUse::Lasting)?.0);
+//! let mut pipeline = Pipeline::new();
+//! spawn(&mut pipeline, &scene, &surface, Vec::new(), None, &[])?;
+//! let albedo = read_column::<TexelIndex, DiffuseAlbedo>(&mut pipeline.world)?;
+//! // An unknown albedo begins gray.
+//! assert_eq!(albedo, [DiffuseAlbedo(Vec3::splat(0.4)); 16 * 16]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod light;
 

@@ -1,4 +1,4 @@
-//! A survey as a short table for the terminal.
+//! A survey as a short table for the terminal. Below its rows are the findings and a verdict.
 
 use crate::survey::look::{MaskOrigin, ViewLook};
 use crate::survey::{Severity, Survey, counted};

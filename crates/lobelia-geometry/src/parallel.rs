@@ -3,6 +3,16 @@
 //! A parallel iterator of rayon is compiled anew for each closure, a few thousand lines of LLVM IR each time. Here
 //! threads share the parts of a loop behind one function pointer, and only the plain loop over a part is compiled anew.
 //! Results stand in the order of their indices, so that bits depend neither on parts nor on threads.
+//!
+//! ```
+//! use lobelia_geometry::parallel;
+//!
+//! let squares = parallel::map(100, 8, |i| i * i);
+//! assert_eq!(squares[..4], [0, 1, 4, 9]);
+//! let mut sums = vec![1_usize; 100];
+//! parallel::for_each_row((&mut sums[..], &squares[..]), 8, |(sum, square)| *sum += *square);
+//! assert_eq!(sums[..4], [1, 2, 5, 10]);
+//! ```
 
 use rayon::prelude::*;
 use std::ops::Range;

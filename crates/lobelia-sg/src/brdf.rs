@@ -1,5 +1,16 @@
 //! The BRDF of the PhySG supplement (eqs. 1–7): f = a/π + M·D with M = F·G/(4 (n·ωo)(n·ωi)); D is
-//! its SG or GGX.
+//! its SG or GGX. The specular part is affine in the specular albedo, and the same with viewer and
+//! light exchanged.
+//!
+//! ```
+//! use lobelia_sg::brdf::{Facets, specular_affine};
+//!
+//! let (normal, viewer, light) = ([0.0_f64, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, -0.6, 0.8]);
+//! let (constant, slope) = specular_affine(normal, viewer, light, Facets::sg(0.5));
+//! let (exchanged, _) = specular_affine(normal, light, viewer, Facets::sg(0.5));
+//! assert!(constant > 0.0 && slope > constant);
+//! assert!((constant / exchanged - 1.0).abs() < 1e-12);
+//! ```
 
 use crate::real::{Real, Vec3Of, add, dot, scale, sub};
 use crate::sg;

@@ -1,4 +1,15 @@
 //! Spherical Gaussians: G(ω; ξ, λ, μ) = μ exp(λ(ω·ξ − 1)) with axis ξ, sharpness λ and amplitude μ.
+//! The product of two is a third one, and the integral over the sphere has a closed form.
+//!
+//! ```
+//! use lobelia_sg::sg::{evaluate, sphere_integral};
+//! use std::f64::consts::PI;
+//!
+//! let (axis, aside) = ([0.0_f64, 0.0, 1.0], [0.6, 0.0, 0.8]);
+//! assert_eq!(evaluate(axis, axis, 10.0), 1.0);
+//! assert!((evaluate(aside, axis, 10.0) - (-2.0_f64).exp()).abs() < 1e-12);
+//! assert_eq!(sphere_integral(0.0), 4.0 * PI);
+//! ```
 
 use crate::real::{Real, Vec3Of, dot, sub};
 

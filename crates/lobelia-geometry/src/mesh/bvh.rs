@@ -9,6 +9,20 @@
 //! then enter against each: Boulos, Wald and Shirley, "Geometric and Arithmetic Culling Methods for
 //! Entire Ray Packets" (2006): interval arithmetic on the inverse directions, which have the same
 //! signs.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::mesh::{bvh::TriangleBvh, primitive::box_mesh};
+//! use lobelia_sg::ray::Ray;
+//!
+//! let hierarchy = TriangleBvh::new(&box_mesh(Vec3::ZERO, Vec3::splat(2.0))?);
+//! let ray = Ray { origin: Vec3::new(0.2, 0.3, 3.0), direction: Vec3::NEG_Z };
+//! let [front, back] = [0.0, 2.5].map(|beyond| hierarchy.nearest(&ray, beyond));
+//! assert!(front.is_some_and(|hit| (hit.distance - 2.0).abs() < 1e-5));
+//! assert!(back.is_some_and(|hit| (hit.distance - 4.0).abs() < 1e-5));
+//! assert!(hierarchy.any(&ray, 0.0, 3.0) && !hierarchy.any(&ray, 0.0, 1.5));
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 use crate::mesh::triangles::Mesh;
 use crate::mesh::wide_bvh::{

@@ -5,6 +5,18 @@
 //! an edge collapses to the point where the sum of both ends is smallest, cheapest edges first.
 //! Collapses that change the topology or flip a triangle are not made, so that a closed manifold
 //! stays one.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::mesh::decimate::decimate;
+//! use lobelia_geometry::sdf::{SdfGrid, extract::extract_mesh};
+//!
+//! let ball = SdfGrid::from_fn(Vec3::ZERO, 1.0, 16, |point| point.length() - 0.7);
+//! let mesh = extract_mesh(&ball);
+//! let small = decimate(&mesh, 100);
+//! assert!(small.triangles.len() <= 100 && mesh.triangles.len() > 300);
+//! assert!((small.area() / mesh.area() - 1.0).abs() < 0.1);
+//! ```
 
 use crate::mesh::triangles::{Mesh, Side, sorted_sides};
 use glam::{DMat3, DVec3};

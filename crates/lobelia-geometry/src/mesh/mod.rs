@@ -6,6 +6,19 @@
 //!
 //! There is no plugin here: a surface is built once, before a run, and inserted into the world as a
 //! resource; the Trace stage reads it through [`Intersect`].
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::mesh::{Surface, primitive::box_mesh};
+//! use lobelia_sg::ray::{Intersect, Ray};
+//!
+//! let surface = Surface::new(box_mesh(Vec3::ZERO, Vec3::splat(2.0))?, 64)?;
+//! let ray = Ray { origin: Vec3::new(0.2, 0.3, 5.0), direction: Vec3::NEG_Z };
+//! let hit = surface.intersect(&ray, 0.0);
+//! assert!(hit.is_some_and(|hit| (hit.distance - 4.0).abs() < 1e-5 && hit.normal.z > 0.999));
+//! assert!(surface.is_inside(Vec3::ZERO));
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 pub mod atlas;
 pub mod bvh;

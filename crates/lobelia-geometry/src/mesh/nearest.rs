@@ -1,5 +1,16 @@
 //! The point of a mesh that is nearest to a given point, exactly, and the Chamfer distance between
-//! two surfaces.
+//! two surfaces. Both search a hierarchy of boxes around the triangles.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::mesh::{nearest::NearestTriangle, primitive::box_mesh};
+//!
+//! let cube = box_mesh(Vec3::ZERO, Vec3::splat(2.0))?;
+//! // The nearest point is (1, 1, 0), on an edge.
+//! let found = NearestTriangle::new(&cube).nearest(Vec3::new(4.0, 5.0, 0.0));
+//! assert!(found.is_some_and(|found| (found.distance - 5.0).abs() < 1e-5));
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 use crate::mesh::bvh::{TriangleHit, binary_hierarchy};
 use crate::mesh::triangles::Mesh;

@@ -1,4 +1,17 @@
-//! Meshes of simple solids, with normals and texture coordinates that do not overlap.
+//! Meshes of simple solids, with normals and texture coordinates that do not overlap. They are
+//! closed and face outward.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
+//! use std::f64::consts::PI;
+//!
+//! let brick = box_mesh(Vec3::ZERO, Vec3::new(1.0, 2.0, 3.0))?;
+//! let ball = sphere_mesh(Vec3::X, 1.0)?;
+//! assert!((brick.area() - 22.0).abs() < 1e-5);
+//! assert!((ball.area() / (4.0 * PI) - 1.0).abs() < 1e-3);
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 use crate::{Error, Result, mesh::triangles::Mesh};
 use glam::{DVec3, Vec2, Vec3};

@@ -1,4 +1,17 @@
-//! Triangle meshes in world space.
+//! Triangle meshes in world space. Vertices are in columns, which triangles index into,
+//! counterclockwise seen from outside.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::mesh::triangles::Mesh;
+//!
+//! let positions = vec![Vec3::ZERO, Vec3::X, Vec3::Y];
+//! let mut mesh = Mesh { positions, triangles: vec![[0, 1, 2], [0, 0, 1]], ..Mesh::default() };
+//! assert_eq!(mesh.drop_degenerate_triangles(), 1);
+//! assert_eq!(mesh.repair_normals(), 3);
+//! assert_eq!(mesh.normals, [Vec3::Z; 3]);
+//! assert_eq!(mesh.area(), 0.5);
+//! ```
 
 use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;

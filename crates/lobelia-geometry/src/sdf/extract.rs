@@ -8,6 +8,16 @@
 //! the inside or the outside, depending on the sign of the field at the midpoint. An edge whose
 //! pairs belong to one fan at both ends, as around a hole in a thin wall, is split in two, with a
 //! separate midpoint for each pair.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::sdf::{SdfGrid, extract::extract_mesh};
+//!
+//! let ball = SdfGrid::from_fn(Vec3::ZERO, 1.0, 24, |point| point.length() - 0.6);
+//! let mesh = extract_mesh(&ball);
+//! assert!(mesh.triangles.len() > 500);
+//! assert!(mesh.positions.iter().all(|point| (point.length() - 0.6).abs() < 0.01));
+//! ```
 
 use crate::mesh::triangles::{DisjointSets, Mesh, Side, sorted_sides};
 use crate::parallel;

@@ -1,11 +1,23 @@
 //! A signed distance field on a regular grid: look-up, gradient, tracing of rays, mesh extraction,
-//! and texels.
+//! and texels. Distances are in world units at the vertices, negative inside, and trilinear in
+//! between.
 //!
 //! | module | holds |
 //! | --- | --- |
 //! | [`extract`] | a mesh of the zero level (surface nets), its non-manifold edges and vertices split |
 //! | `redistance` | restores the distance property (fast sweeping) |
 //! | [`volume`] | texels on a lattice around the zero level, and a field that can be shaded with them |
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::sdf::SdfGrid;
+//! use lobelia_sg::ray::Ray;
+//!
+//! let ball = SdfGrid::from_fn(Vec3::ZERO, 1.0, 32, |point| point.length() - 0.6);
+//! assert!((ball.value(Vec3::X) - 0.4).abs() < 1e-5);
+//! let ray = Ray { origin: Vec3::new(0.0, 0.0, 3.0), direction: Vec3::NEG_Z };
+//! assert!(ball.first_crossing(&ray, 0.0).is_some_and(|distance| (distance - 2.4).abs() < 0.01));
+//! ```
 
 pub mod extract;
 mod redistance;

@@ -1,4 +1,16 @@
-//! The pinhole camera: rays, projection, and construction of cameras by position or orbit.
+//! The pinhole camera: rays, projection, and construction of cameras by position or orbit. Its axes
+//! are OpenCV's (x right, y down, z forward); places in the image are in pixels.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::view::Camera;
+//!
+//! let camera = Camera::look_at(Vec3::new(0.0, 1.0, 4.0), Vec3::ZERO, Vec3::Y, 40.0, 64, 48)?;
+//! let ray = camera.ray(10.0, 20.0);
+//! let seen = camera.project(ray.origin + 2.0 * ray.direction);
+//! assert!(seen.is_some_and(|(x, y, _)| (x - 10.0).abs() < 1e-3 && (y - 20.0).abs() < 1e-3));
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 use crate::{Error, Result};
 use bevy_ecs::prelude::Component;

@@ -1,5 +1,16 @@
 //! Images, masks and rectangles of them as grids of pixels: box filtering, interpolation, and
-//! distance to silhouettes.
+//! distance to silhouettes. Pixels are stored row by row from the top left.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::view::{Image, raster::bilinear};
+//!
+//! let pixels = vec![Vec3::ZERO, Vec3::ONE, Vec3::ONE, Vec3::ZERO];
+//! let image = Image { width: 2, height: 2, pixels };
+//! assert_eq!(image.downscaled(2).pixels, [Vec3::splat(0.5)]);
+//! let between = bilinear(2, 2, 0.25, 0.0).map(|(pixel, weight)| image.pixels[pixel] * weight);
+//! assert_eq!(between.into_iter().sum::<Vec3>(), Vec3::splat(0.25));
+//! ```
 
 use glam::{DVec3, Vec3};
 

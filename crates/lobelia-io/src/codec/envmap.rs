@@ -1,4 +1,17 @@
-//! Environment maps from OpenEXR and Radiance HDR files, and back.
+//! Environment maps from OpenEXR and Radiance HDR files, and back. Values that no light can have
+//! are repaired, each with a note, and very wide maps are averaged.
+//!
+//! ```
+//! use lobelia_io::codec::envmap::{read_map, write_map_exr};
+//! use lobelia_world::light::EnvironmentMap;
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("sky.exr");
+//! let sky = EnvironmentMap::from_directions(8, 4, |direction| direction + 2.0);
+//! write_map_exr(&sky, &path)?;
+//! assert_eq!(read_map(&path)?, sky);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::codec::image::{Decoded, ImageSamples, Orientation, decode_samples};
 use crate::codec::{exr::ExrLayers, exr_frame::write_channels, file};

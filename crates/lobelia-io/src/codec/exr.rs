@@ -1,4 +1,5 @@
-//! Reading OpenEXR: channels of flat layers as `f32`, laid out on the display window.
+//! Reading OpenEXR: channels of flat layers as `f32`, laid out on the display window. Pixels of the
+//! window outside a layer are 0.
 
 use crate::codec::image::Source;
 use crate::codec::image::format::{Format, ImageHeader, MAX_DECODED_BYTES};

@@ -4,6 +4,19 @@
 //! Blocks of rows are compressed by all threads and written when they are complete. They have
 //! OpenEXR's ZIP compression, at the fastest level: four times as fast as the level that the `exr`
 //! crate has, for files that are larger by a twentieth.
+//!
+//! ```
+//! use lobelia_io::codec::exr::{ExrLayers, read_exr_layers};
+//! use lobelia_io::codec::exr_frame::write_channels;
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("depth.exr");
+//! let channels = [("Z".to_owned(), vec![1.0, 2.0, 4.0])].into();
+//! let depth = ExrLayers { width: 3, height: 1, channels };
+//! write_channels(&path, &depth)?;
+//! assert_eq!(read_exr_layers(&path)?, depth);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::codec::exr::{ExrLayers, read_exr_groups};
 use crate::codec::file::{check_finite, not_written, write_file};

@@ -1,5 +1,5 @@
 //! Films of frames that are PNG files: an MP4 by the program `ffmpeg`, or a GIF where it is not
-//! installed.
+//! installed. All frames have one size.
 
 use crate::codec::{file, png_file};
 use image::{Delay, DynamicImage, ImageError, RgbImage, codecs::gif::GifEncoder, codecs::gif::Repeat};

@@ -4,6 +4,18 @@
 //! The header of an array is magic bytes, a version, a length, and a Python dictionary of three
 //! plain values. None of them contains others, so the parser never recurses; a header of more than
 //! 10 000 bytes is an error, as in NumPy.
+//!
+//! ```
+//! use lobelia_io::codec::npy::{NpyConvention, read_lobes, write_lobes};
+//! use lobelia_world::light::LightLobe;
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("light.npy");
+//! let lobes = LightLobe::even(24);
+//! write_lobes(&path, &lobes, NpyConvention::Lobelia)?;
+//! assert_eq!(read_lobes(&path, NpyConvention::Lobelia)?, lobes);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::codec::file::{check_finite, read_up_to, write_bytes};
 use glam::{DVec3, Vec3};

@@ -1,4 +1,18 @@
-//! 8-bit sRGB pictures and masks as PNG.
+//! 8-bit sRGB pictures and masks as PNG. A file is written whole or by rows, with the same bytes,
+//! and may say which program wrote it.
+//!
+//! ```
+//! use image::{Rgb, RgbImage};
+//! use lobelia_io::codec::png_file::{software_of, write_rgb8_by};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("brown.png");
+//! let brown = RgbImage::from_pixel(3, 2, Rgb([90, 60, 30]));
+//! write_rgb8_by(&path, &brown, "a program")?;
+//! assert_eq!(image::open(&path)?.into_rgb8(), brown);
+//! assert_eq!(software_of(&path).as_deref(), Some("a program"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::codec::file;
 use crate::codec::image::{Decoded, ImageSamples, Orientation, decode_samples};

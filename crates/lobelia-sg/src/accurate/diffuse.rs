@@ -1,5 +1,15 @@
 //! The integral of an SG times the clamped cosine, in closed form, and the complementary error
-//! function it needs.
+//! function it needs. The integral is the irradiance under a lobe of unit amplitude.
+//!
+//! ```
+//! use lobelia_sg::accurate::diffuse::cosine_integral;
+//! use std::f64::consts::PI;
+//!
+//! // Of sharpness 0, a lobe is a sky of radiance one. A sharp one is a lamp: 2π c/λ.
+//! let (sky, lamp) = (cosine_integral(0.0_f64, 0.3), cosine_integral(1e4_f64, 0.5));
+//! assert!((sky.value - PI).abs() < 1e-6);
+//! assert!((lamp.value / (2.0 * PI * 0.5 / 1e4) - 1.0).abs() < 0.01);
+//! ```
 
 use crate::real::{Real, polynomial};
 use crate::sg::Dual;

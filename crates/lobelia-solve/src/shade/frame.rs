@@ -1,5 +1,27 @@
 //! The Frame phase: one tile of a picture, or of a band of its rows, at a time, Sample ▸ Trace ▸
-//! Gather ▸ Shade ▸ Resolve.
+//! Gather ▸ Shade ▸ Resolve. [`render_frame`] runs it tile by tile, with whatever systems are in
+//! its slots.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::mesh::{Surface, primitive::box_mesh};
+//! use lobelia_geometry::view::Camera;
+//! use lobelia_solve::shade::frame::{FramePlugin, render_frame, resolve};
+//! use lobelia_world::{light::LightLobe, material::SpecularLobe};
+//! use lobelia_world::{pipeline::Pipeline, sample::spawn_object};
+//!
+//! let surface = std::sync::Arc::new(Surface::new(box_mesh(Vec3::ZERO, Vec3::ONE)?, 16)?);
+//! let albedo = vec![Vec3::splat(0.5); surface.atlas().position.len()];
+//! // A sky of radiance one: a diffuse surface is as bright as its albedo.
+//! let sky = LightLobe { axis: Vec3::Y, sharpness: 0.0, amplitude: Vec3::ONE };
+//! let mut pipeline = Pipeline::new();
+//! pipeline.add_plugin(&FramePlugin);
+//! spawn_object(&mut pipeline.world, &surface, &albedo, &[SpecularLobe::default()], &[sky]);
+//! let camera = Camera::look_at(Vec3::new(0.0, 0.0, 3.0), Vec3::ZERO, Vec3::Y, 38.0, 8, 8)?;
+//! let frame = resolve(&render_frame(&mut pipeline, camera, 1)?);
+//! assert!((frame.diffuse[4 * 8 + 4].x - 0.5).abs() < 1e-3);
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 use super::systems::{gather_blends, gather_points, shade_closed_form};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, With, World};

@@ -1,6 +1,6 @@
 //! The systems of the Gather stage between its slots, and those for
 //! [`Slot::Shading`](lobelia_world::pipeline::Slot::Shading); each fetches columns and calls a
-//! kernel.
+//! kernel. To change from a closed form to the path tracer is to swap one of these for another.
 
 use crate::shade::device::{ShadingDevice, failed, loops_of};
 use crate::shade::path_tracer::{PathEstimate, PathPoint, PathQuery, PathScene, PathSettings, shade_points};

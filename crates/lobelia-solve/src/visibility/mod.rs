@@ -18,6 +18,21 @@
 //!
 //! Shadows and interreflection are updated when light or material have changed
 //! (`light_or_material_changed`), in a fit at most every few steps (`refresh_is_due`).
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::mesh::{Surface, primitive::box_mesh};
+//! use lobelia_solve::visibility::{ObjectVisibility, VisibilitySettings};
+//!
+//! let solid = box_mesh(Vec3::ZERO, Vec3::ONE)?;
+//! let mut room = solid.clone();
+//! room.normals.iter_mut().for_each(|normal| *normal = -*normal);
+//! let settings = VisibilitySettings { directions: 64, ..VisibilitySettings::default() };
+//! // Outside a convex object nothing is in the way; inside it, its walls are.
+//! assert!(ObjectVisibility::new(&Surface::new(solid, 16)?, settings).sees_all());
+//! assert!(!ObjectVisibility::new(&Surface::new(room, 16)?, settings).sees_all());
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 mod object_visibility;
 pub(crate) mod occlusion;

@@ -8,6 +8,23 @@
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
 //! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LobesOf`], [`LightName`], [`LightGroup`], [`LightMap`], [`LightFrame`], [`OwnLightFrame`], [`Placements`], [`PicturePlacement`] | [`IncidentLight`] |
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_world::light::LightLobe;
+//! use lobelia_world::light::lights::{IncidentLight, LightChoice, provide_light, spawn_light};
+//! use lobelia_world::pipeline::{Phase, Pipeline, Slot};
+//!
+//! let lamp = LightLobe { axis: Vec3::Y, sharpness: 4.0, amplitude: Vec3::ONE };
+//! let mut pipeline = Pipeline::new();
+//! pipeline.world.init_resource::<IncidentLight>();
+//! spawn_light(&mut pipeline.world, "lamp", &[lamp], None);
+//! let choice = LightChoice::Named("lamp".into());
+//! pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, false));
+//! pipeline.run(Phase::Frame)?;
+//! assert_eq!(pipeline.world.resource::<IncidentLight>().lobes.get(0).axis, [0.0, 1.0, 0.0]);
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 use super::illuminate::{LobeLight, MapLight, TurnedLight};
 use super::light_frame::{LightFrame, OwnLightFrame, PictureRotation};

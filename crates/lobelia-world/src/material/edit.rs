@@ -8,6 +8,25 @@
 //! An edit of the specular material inside a region splits every base material with a weight there:
 //! the edited copy gets the region's part of the blend weights, so that roughness may vary over the
 //! surface.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_world::material::edit::{EditAction, EditRegion, EditTarget};
+//! use lobelia_world::material::edit::{MaterialState, apply_edit};
+//! use lobelia_world::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+//!
+//! let mut state = MaterialState {
+//!     albedo: vec![DiffuseAlbedo(Vec3::splat(0.5)); 2],
+//!     blends: vec![SpecularBlend::default(); 2],
+//!     lobes: vec![Some(SpecularLobe::new(Vec3::splat(0.04), 0.4))],
+//!     ..MaterialState::default()
+//! };
+//! let (half, there) = (EditAction::Scale(Vec3::splat(0.5)), EditRegion(Some([0.0, 1.0].into())));
+//! apply_edit(&mut state, EditTarget::Roughness, &half, &there)?;
+//! let [first, second] = [0, 1].map(|texel| state.blends[texel].roughness(state.materials()));
+//! assert!((first - 0.4).abs() < 1e-6 && (second - 0.2).abs() < 1e-6);
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 use super::material_source::check_numbers;
 use super::{

@@ -10,6 +10,23 @@
 //! system. Phases are open: any [`ScheduleLabel`] can be one ([`Pipeline::add_phase`]). The
 //! schedules are in the world's [`Schedules`] resource, which bevy's tools use. [`pool`] gives
 //! kernels the columns of many entities as slices.
+//!
+//! ```
+//! use bevy_ecs::prelude::{ResMut, Resource};
+//! use lobelia_world::pipeline::{Phase, Pipeline, Slot, Stage};
+//!
+//! #[derive(Resource, Default)]
+//! struct Trail(Vec<&'static str>);
+//!
+//! let mut pipeline = Pipeline::new();
+//! pipeline.world.init_resource::<Trail>();
+//! pipeline
+//!     .add_systems(Phase::Frame, Stage::Write, |mut trail: ResMut<Trail>| trail.0.push("write"))
+//!     .swap(Phase::Frame, Slot::Shading, |mut trail: ResMut<Trail>| trail.0.push("shade"));
+//! pipeline.run(Phase::Frame)?;
+//! assert_eq!(pipeline.world.resource::<Trail>().0, ["shade", "write"]);
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 pub mod pool;
 

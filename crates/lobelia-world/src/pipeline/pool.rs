@@ -7,6 +7,20 @@
 //! copied. If an additional component or another order moves entities to other rows or tables,
 //! columns are copied in and out in the order of the indices. The results are the same, but this is
 //! slower.
+//!
+//! ```
+//! use bevy_ecs::prelude::World;
+//! use glam::Vec3;
+//! use lobelia_world::material::{DiffuseAlbedo, TexelIndex};
+//! use lobelia_world::pipeline::pool::{read_column, write_column};
+//!
+//! let mut world = World::new();
+//! world.spawn_batch([2, 0, 1].map(|row| (TexelIndex(row), DiffuseAlbedo::default())));
+//! let gray = [0.2, 0.4, 0.6].map(|albedo| DiffuseAlbedo(Vec3::splat(albedo)));
+//! write_column::<TexelIndex, _>(&mut world, &gray)?;
+//! assert_eq!(read_column::<TexelIndex, DiffuseAlbedo>(&mut world)?, gray);
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 use bevy_ecs::prelude::{Component, Entity, Query, World};
 use bevy_ecs::system::{SystemParam, SystemState};

@@ -1,4 +1,15 @@
-//! The pixel of a sample.
+//! The pixel of a sample. In a fit it has the radiance of the photograph, which a clipped channel
+//! only bounds from below.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_world::sample::pixel::Observed;
+//!
+//! let observed = Observed { radiance: Vec3::new(1.0, 0.5, 0.25), saturated: true };
+//! let predicted = Vec3::new(3.0, 0.75, 0.25);
+//! assert_eq!(observed.differences(predicted), Vec3::new(0.0, 0.25, 0.0));
+//! assert_eq!(observed.target(predicted), Vec3::new(3.0, 0.5, 0.25));
+//! ```
 
 use crate::pipeline::pool::pool_index;
 use bevy_ecs::prelude::{Component, Resource};

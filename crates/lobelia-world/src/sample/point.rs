@@ -1,4 +1,20 @@
-//! The surface point of a pixel sample.
+//! The surface point of a pixel sample. That of a ray without a hit is infinitely far away and has
+//! no normal.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::mesh::{Surface, primitive::box_mesh};
+//! use lobelia_sg::ray::{Intersect, Ray};
+//! use lobelia_world::sample::point::SurfacePoint;
+//!
+//! let surface = Surface::new(box_mesh(Vec3::ZERO, Vec3::ONE)?, 16)?;
+//! let origin = Vec3::new(0.1, 0.2, 3.0);
+//! let [hit, miss] = [Vec3::NEG_Z, Vec3::Z]
+//!     .map(|direction| SurfacePoint::from(surface.intersect(&Ray { origin, direction }, 0.0)));
+//! assert!(hit.is_hit() && hit.normal.z > 0.999);
+//! assert!(!miss.is_hit() && miss.normal == Vec3::ZERO);
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
 use bevy_ecs::prelude::{Component, Resource};

@@ -1,4 +1,17 @@
-//! Writing a mesh as binary glTF 2.0.
+//! Writing a mesh as binary glTF 2.0. Its floats keep all their bits, and a material has its
+//! textures inside the file.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::mesh::primitive::box_mesh;
+//! use lobelia_io::codec::gltf::export::write_glb;
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("box.glb");
+//! write_glb(&path, &box_mesh(Vec3::ZERO, Vec3::ONE)?, None)?;
+//! assert!(std::fs::read(&path)?.starts_with(b"glTF"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::codec::file::{check_finite, not_written, write_bytes};
 use crate::codec::gltf::material::GltfMaterial;

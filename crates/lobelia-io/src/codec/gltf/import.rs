@@ -1,4 +1,18 @@
-//! Reading a mesh from a `.glb` or `.gltf` file.
+//! Reading a mesh from a `.glb` or `.gltf` file. All triangles of the file become one mesh in world
+//! space.
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::mesh::primitive::box_mesh;
+//! use lobelia_io::codec::gltf::{export::write_glb, import::read_mesh};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("box.glb");
+//! let mesh = box_mesh(Vec3::X, Vec3::new(1.0, 2.0, 3.0))?;
+//! write_glb(&path, &mesh, None)?;
+//! assert_eq!(read_mesh(&path)?, mesh);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::codec::gltf::GltfFile;
 use glam::{DMat3, Mat3, Mat4, Quat, Vec2, Vec3};

@@ -6,6 +6,17 @@
 //! them; [`read_image`] and [`read_mask`] convert these to linear radiance and coverage.
 //!
 //! [`encode_jpeg`] and [`encode_png`] are for pictures in memory, such as those that a page holds.
+//!
+//! ```
+//! use image::ExtendedColorType;
+//! use lobelia_io::codec::image::{decode, encode_png};
+//!
+//! let red_and_blue = encode_png(&[255, 0, 0, 0, 0, 255], [2, 1], ExtendedColorType::Rgb8)?;
+//! let picture = decode(&red_and_blue)?.into_rgb8();
+//! assert_eq!(picture.dimensions(), (2, 1));
+//! assert_eq!(picture.get_pixel(1, 0).0, [0, 0, 255]);
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 pub(crate) mod format;
 mod linear;

@@ -13,6 +13,28 @@
 //! | `seed` | `u64` | – | 0 | changes every random number |
 //! | `roulette_after` | `u32` | scattering events | 3 | Russian roulette applies to paths of at least this length |
 //! | `ray_offset` | `f32` | radii of the scene | 2e-5 | offset of the ray origin from the surface, along the geometric normal |
+//!
+//! ```
+//! use glam::Vec3;
+//! use lobelia_geometry::mesh::{Surface, primitive::box_mesh};
+//! use lobelia_solve::shade::path_tracer::{PathPoint, PathQuery, PathScene};
+//! use lobelia_solve::shade::path_tracer::{PathSettings, shade_point};
+//! use lobelia_world::light::{EnvironmentMap, illuminate::MapLight};
+//! use lobelia_world::material::SpecularBlend;
+//!
+//! // The top of a box sees a sky of radiance one, and nothing else.
+//! let surface = &Surface::new(box_mesh(Vec3::ZERO, Vec3::ONE)?, 16)?;
+//! let light = &MapLight::new(EnvironmentMap::from_directions(8, 4, |_| Vec3::ONE));
+//! let scene =
+//!     PathScene { surface, light, albedo: &[], sheen: &[], tilt: &[], blends: &[], specular: &[] };
+//! let (position, normal, albedo) = (Vec3::new(0.1, 0.5, 0.2), Vec3::Y, Vec3::splat(0.5));
+//! let blend = SpecularBlend::default().0;
+//! let point = PathPoint { position, normal, geometric_normal: normal, albedo, blend };
+//! let query = PathQuery { point, to_viewer: Vec3::Y, stream: 0, first_sample: 0 };
+//! let found = shade_point(&scene, &PathSettings::default(), &query, 256);
+//! assert!((found.diffuse.x - 0.5).abs() < 0.02 && found.rejected == 0);
+//! # Ok::<(), lobelia_geometry::Error>(())
+//! ```
 
 use crate::shade::sampling::sobol::Sequence;
 use crate::shade::sampling::{Scattered, Scatterer, above_zero, power_heuristic};

@@ -5,6 +5,18 @@
 //! scrambled independently by hashes ("padding"), after Burley, "Practical Hash-based Owen
 //! Scrambling", JCGT 9(4), 2020, with Vegdahl's hash. The numbers depend on (seed, stream, sample,
 //! group) only, not on threads or call order.
+//!
+//! ```
+//! use lobelia_solve::shade::sampling::sobol::Sequence;
+//!
+//! let mut counts = [0; 256];
+//! for sample in 0..256 {
+//!     let [u, ..] = Sequence::new(7, 3, sample).group(0);
+//!     counts[(u * 256.0) as usize] += 1;
+//! }
+//! // One number lies in each of as many intervals.
+//! assert_eq!(counts, [1; 256]);
+//! ```
 
 /// Direction numbers of the first three Sobol' dimensions (Joe and Kuo's `new-joe-kuo-6`).
 const DIRECTIONS: [[u32; 32]; 3] =
