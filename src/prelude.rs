@@ -65,8 +65,8 @@ pub use lobelia_world::material::{
 };
 
 // Rendering.
-pub use crate::report::tone::{Look, save_png};
 pub use lobelia_geometry::view::Frame;
+pub use lobelia_io::codec::tone::{Look, save_png};
 pub use lobelia_sg::accurate::Quality;
 pub use lobelia_sg::shading::ClosedForm;
 pub use lobelia_solve::shade::frame::{FramePlugin, frame_material, render_frame, resolve};

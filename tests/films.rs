@@ -4,8 +4,8 @@
 use crate::common::{Data, GRAY_SPHERE, Outcome, camera, command, day, files_below, is_temporary, studio};
 use image::RgbImage;
 use lobelia::codec::exr_frame::{write_frame, write_frame_rows};
+use lobelia::codec::tone::{Backdrop, Picture, write_png_rows};
 use lobelia::prelude::*;
-use lobelia::report::tone::{Backdrop, Picture, write_png_rows};
 use lobelia::shade::frame::{band_rows, frame_bytes, render_bands};
 
 /// The film; `{}` is filled in.

@@ -3,7 +3,7 @@
 
 use crate::common::{self, *};
 use glam::{Affine3A, Vec3};
-use lobelia::{light::LightLobe, report::tone::srgb8, view::Frame};
+use lobelia::{codec::tone::srgb8, light::LightLobe, view::Frame};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::f32::consts::{PI, TAU};

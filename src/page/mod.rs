@@ -8,11 +8,12 @@
 
 mod pack;
 
-use crate::{report::html::escaped, report::html::filled, report::tone::MAT};
+use crate::{report::html::escaped, report::html::filled};
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use glam::Vec3;
 use lobelia_geometry::view::{Camera, PixelWindow, Split};
 use lobelia_geometry::{Result, mesh::Surface};
+use lobelia_io::codec::tone::MAT;
 use lobelia_sg::{brdf::Ndf, color::srgb_from_linear};
 use lobelia_solve::visibility::ObjectVisibility;
 use lobelia_world::material::sheen::has_sheen;

@@ -9,16 +9,16 @@
 
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::{run::session::Session, view_report, view_report::outlier_share};
-use crate::report::metrics::{ImagePair, NormalAngles, albedo_psnr, coverage_iou, erode, mean};
 use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{SheetRow, choose_evenly, write_sheet};
-use crate::report::tone::{Picture, VIEWS_BUDGET, error_map, side_within, write_thumbnail};
 use crate::scene::{EvaluatePass, LayerTruth, Pass, ScoreScale, Truth, TruthFiles, VIEW};
 use glam::Vec3;
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
 use lobelia_geometry::mesh::nearest::chamfer_distance;
+use lobelia_geometry::view::metrics::{ImagePair, NormalAngles, albedo_psnr, coverage_iou, erode, mean};
 use lobelia_geometry::view::{Image, Photograph, Placement, ViewMask, camera::Camera};
 use lobelia_io::codec::image::{Gamma, IMAGE_EXTENSIONS, Orientation, image_header, read_image};
+use lobelia_io::codec::tone::{Picture, VIEWS_BUDGET, error_map, side_within, write_thumbnail};
 use lobelia_io::codec::{exr_frame::Layer, exr_frame::read_frame_layers, gltf::import::read_mesh};
 use std::{ops::RangeInclusive, path::Path, path::PathBuf};
 use tracing::info_span;
@@ -409,8 +409,8 @@ fn fit(path: &Path, image: Image, camera: &Camera) -> Result<Vec<Vec3>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::metrics::{ImagePair, NormalAngles};
     use image::{Rgb, RgbImage};
+    use lobelia_geometry::view::metrics::{ImagePair, NormalAngles};
     use lobelia_io::codec::{exr::ExrLayers, exr_frame::write_channels, png_file::write_rgb8};
 
     fn camera(size: u32) -> Camera {

@@ -2,7 +2,7 @@
 //! the light beside it as environment maps.
 
 use crate::scene::{ExportPass, ExportScale, ExportUp, Light, MeshFormat, Pass};
-use crate::{pass::run::session::Session, pass::show::material_of, report::tone::srgb8};
+use crate::{pass::run::session::Session, pass::show::material_of};
 use glam::{Mat3, Quat, Vec3};
 use image::ExtendedColorType;
 use lobelia_geometry::mesh::tangents::{relative_normals, texel_frames, vertex_tangents};
@@ -13,6 +13,7 @@ use lobelia_geometry::{error::Result, mesh::nearest::NearestTriangle, mesh::tria
 use lobelia_io::codec::gltf::material::{
     Dielectric, GltfMaterial, GltfReflectance, GltfTable, LobeReflectance,
 };
+use lobelia_io::codec::tone::srgb8;
 use lobelia_io::codec::usd::{UpAxis, UsdImage, UsdInput, UsdMaterial, write_usda, write_usdz};
 use lobelia_io::codec::{
     envmap::write_map_hdr, file::write_bytes, gltf::export::write_glb, image::encode_png,

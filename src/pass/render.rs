@@ -3,7 +3,6 @@
 
 use crate::pass::run::{progress::Bar, session::Session};
 use crate::pass::show::{camera_rays, chosen_light, show, show_placement};
-use crate::report::tone::{Backdrop, Look, Picture, write_png_rows};
 use crate::scene::{
     Easing, LightSweep, MaterialSweep, Orbit, OrbitKey, Pass, RenderSettings, Shading, ViewChoice,
 };
@@ -14,6 +13,7 @@ use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
 use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Frame, Split, ViewName, camera, camera::Camera};
 use lobelia_io::codec::film::{FFMPEG, write_film};
+use lobelia_io::codec::tone::{Backdrop, Look, Picture, write_png_rows};
 use lobelia_io::codec::{exr_frame::write_frame_rows, file::file_stems, png_file::write_rgb8};
 use lobelia_sg::color::srgb_from_linear;
 use lobelia_solve::shade::{adaptive::render_adaptive, frame::band_rows, frame::render_bands};

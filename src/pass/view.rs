@@ -3,7 +3,6 @@
 
 use crate::page::{Contents, PageCamera, PageLight, PagePhotograph, html, upright};
 use crate::pass::run::session::Session;
-use crate::report::tone::{Picture, jpeg_address, side_within, thumbnail_jpeg, thumbnail_mask};
 use crate::scene::{Pass, ViewPass, load::edit_to_ron};
 use crate::{pass::show::material_of, report::sheet::choose_evenly, survey::counted};
 use bevy_ecs::prelude::{Entity, World};
@@ -14,6 +13,7 @@ use lobelia_geometry::view::{
     Camera, Photograph, PixelWindow, Placement, Split, ViewIndex, ViewMask, ViewName,
 };
 use lobelia_io::codec::file::write_bytes;
+use lobelia_io::codec::tone::{Picture, jpeg_address, side_within, thumbnail_jpeg, thumbnail_mask};
 use lobelia_solve::{fit::exposure::Exposures, visibility::ObjectVisibility};
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::light::{LightLobe, lights::own_lobes, placement::LightGroup, placement::Placements};

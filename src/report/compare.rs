@@ -17,8 +17,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-use crate::report::metrics::erode;
 use crate::report::scores::{EvalView, PassScores, Scaling, aligned, score_views};
+use lobelia_geometry::view::metrics::erode;
 use lobelia_geometry::{Error, Result};
 use lobelia_io::codec::file::read_folder;
 use lobelia_io::codec::image::{BRIGHTEST, Gamma, IMAGE_EXTENSIONS, Orientation, read_image};

@@ -6,8 +6,8 @@
 //! Tables "in the mask", as IDR's and NeuS's, are of pixels at least half covered. Everything is
 //! computed pixel by pixel, so that no picture is copied.
 
-use crate::report::metrics::{eroded, mean, psnr_of_mse, ssim_of};
 use glam::{DVec3, Vec3};
+use lobelia_geometry::view::metrics::{eroded, mean, psnr_of_mse, ssim_of};
 use lobelia_sg::color::srgb_from_linear;
 use serde::{Deserialize, Serialize};
 
@@ -188,7 +188,7 @@ fn brightening(truth: &[Vec3]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::metrics::PSNR_CAP_DB;
+    use lobelia_geometry::view::metrics::PSNR_CAP_DB;
     use lobelia_sg::color::linear_from_srgb;
 
     /// Radiance of encoded gray values under a coverage.

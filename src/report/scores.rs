@@ -1,9 +1,11 @@
 //! Scores of passes: computed view by view, and written to `metrics.json`.
 
-use crate::report::metrics::{ImagePair, LayerScaleSums, ScaleSums, mean, psnr, scaled, scaled_layers, ssim};
 use crate::report::published::{Covered, OrbScores, SrgbScores, orb_scores, srgb_scores};
 use glam::Vec3;
 use indexmap::IndexMap;
+use lobelia_geometry::view::metrics::{
+    ImagePair, LayerScaleSums, ScaleSums, mean, psnr, scaled, scaled_layers, ssim,
+};
 use lobelia_geometry::{Error, Result};
 use lobelia_io::codec::file;
 use lobelia_solve::fit::determined::Determined;

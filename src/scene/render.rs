@@ -1,8 +1,9 @@
 //! How a pass renders: which views and shading, how the pictures look, films, and edits of the
 //! material.
 
-use crate::{report::tone::Tone, scene::number, scene::yes};
+use crate::{scene::number, scene::yes};
 use glam::Vec3;
+use lobelia_io::codec::tone::Tone;
 use lobelia_sg::accurate::Quality;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;

@@ -1,10 +1,10 @@
 //! Cameras: whether they see one point, how they lie around the object, and whether the object
 //! turned in front of a camera that stood still.
 
-use crate::survey::look::{PixelBounds, ViewLook};
 use crate::survey::{Finding, Severity};
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::view::look::{PixelBounds, ViewLook};
 use lobelia_geometry::view::{Camera, Split};
 use lobelia_sg::statistics::median;
 use serde::Serialize;

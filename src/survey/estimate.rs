@@ -9,8 +9,9 @@ use crate::scene::{
     FitPass, GridLevel, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface,
     ViewChoice, Views, Visibility,
 };
-use crate::{survey::counted, survey::look::ViewLook};
+use crate::survey::counted;
 use lobelia_geometry::view::Split;
+use lobelia_geometry::view::look::ViewLook;
 use lobelia_sg::statistics::median;
 use lobelia_solve::fit::detail::{KeptPixel, MOST_PIXELS, TexelEquations, finest_side};
 use lobelia_solve::visibility::VisibilitySettings;

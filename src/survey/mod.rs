@@ -6,7 +6,6 @@
 //!
 //! | module | holds |
 //! | --- | --- |
-//! | [`look`] | the part of a view that is kept |
 //! | [`open`] | reading a scene's data |
 //! | `photographs` | black or differently exposed photographs; inverted, dim or missing masks |
 //! | [`cameras`] | cameras that do not see one point; how cameras lie, and whether the object turned instead |
@@ -16,7 +15,6 @@
 
 pub mod cameras;
 pub mod estimate;
-pub mod look;
 pub mod open;
 mod photographs;
 mod silhouettes;
@@ -24,7 +22,7 @@ pub mod table;
 #[cfg(test)]
 mod tests;
 
-pub use look::{MaskOrigin, ViewLook};
+pub use lobelia_geometry::view::look::{MaskOrigin, ViewLook};
 
 use cameras::{Arrangement, Background};
 use estimate::Estimate;

@@ -3,10 +3,10 @@
 
 use crate::scene::{Dataset, Pass, Scene, Surface, ViewChoice, Views};
 use crate::survey::cameras::{BACKGROUND_SIDE, BACKGROUNDS, Background};
-use crate::survey::look::{MaskOrigin, SmallMask, ViewLook};
 use crate::{report::sheet::choose_evenly, survey::Survey, survey::examine};
 use glam::Vec3;
 use lobelia_geometry::parallel;
+use lobelia_geometry::view::look::{MaskOrigin, SmallMask, ViewLook};
 use lobelia_geometry::view::{Photograph, Split, ViewPriors, ViewRecord};
 use lobelia_geometry::{Result, mesh::primitive::box_mesh, mesh::primitive::sphere_mesh};
 use lobelia_io::codec::gltf::import::read_mesh;

@@ -1,9 +1,9 @@
 //! Findings about photographs and masks alone: black or differently exposed photographs; dim,
 //! inverted or missing masks.
 
-use crate::survey::look::{MaskLook, ViewLook};
 use crate::survey::{Finding, Severity, counted, named};
 use glam::Vec3;
+use lobelia_geometry::view::look::{MaskLook, ViewLook};
 use lobelia_geometry::view::{Placement, Split};
 use lobelia_sg::statistics::median;
 use std::collections::BTreeMap;

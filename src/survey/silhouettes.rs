@@ -2,11 +2,11 @@
 //! disagree, the usual mistakes with cameras, photographs and meshes are undone one at a time, and
 //! the one after which they agree is named.
 
-use crate::survey::look::{SmallMask, ViewLook};
 use crate::survey::{Finding, Severity, named};
 use crate::{report::sheet::choose_evenly, survey::cameras::Sight, survey::cameras::meeting_point};
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
 use lobelia_geometry::parallel;
+use lobelia_geometry::view::look::{SmallMask, ViewLook};
 use lobelia_geometry::{Result, mesh::bvh::TriangleBvh, sdf::SdfGrid, view::Split, view::StoredMask};
 use lobelia_sg::statistics::median;
 use lobelia_solve::{shape::hull::visual_hull, shape::silhouette::Silhouette};

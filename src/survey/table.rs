@@ -1,8 +1,8 @@
 //! A survey as a short table for the terminal. Below its rows are the findings and a verdict.
 
-use crate::survey::look::{MaskOrigin, ViewLook};
 use crate::survey::{Severity, Survey, counted};
 use lobelia_geometry::view::Split;
+use lobelia_geometry::view::look::{MaskOrigin, ViewLook};
 use lobelia_sg::statistics::{median, quantile};
 
 /// Rows of label and text.

@@ -8,7 +8,7 @@ pub(crate) mod steps;
 
 use crate::pass::save::{RGB, vector_channels, weight_channels, write_layers};
 use crate::pass::view_report::{csv_entry, note_fit};
-use crate::report::{scores::ScaleFound, tone::srgb8};
+use crate::report::scores::ScaleFound;
 use crate::scene::{FitPass, Gloss, Tilt, Views};
 use crate::{pass::export::carried_blends, pass::run::session::Session, spawn::initial_specular};
 use bevy_ecs::prelude::{With, World};
@@ -18,6 +18,7 @@ use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_sto
 use lobelia_geometry::mesh::{Surface, atlas::TexelAtlas, atlas::address, atlas::fill_uncovered};
 use lobelia_geometry::view::{Camera, Photograph, Split, ViewIndex, ViewName};
 use lobelia_io::codec::file::{check_finite, write_bytes};
+use lobelia_io::codec::tone::srgb8;
 use lobelia_io::codec::{envmap::write_map_exr, npy::NpyConvention, npy::write_lobes, png_file::write_rgb8};
 use lobelia_sg::{ray::TexelAddress, statistics::median};
 use lobelia_solve::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};

@@ -1,9 +1,10 @@
 //! The memory that a run may take: known before it begins, and kept by smaller pools or refused;
 //! and the machine that it works on.
 
-use crate::survey::{counted, estimate::estimate, estimate::memory, look::ViewLook};
+use crate::survey::{counted, estimate::estimate, estimate::memory};
 use crate::{pass::run::progress::Progress, scene::Pass, scene::Scene};
 use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::view::look::ViewLook;
 use lobelia_sg::lanes::level_name;
 use serde::{Deserialize, Serialize};
 use std::{borrow::Cow, fs::read_to_string, path::Path, path::PathBuf};

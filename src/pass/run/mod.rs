@@ -26,10 +26,11 @@ use crate::pass::{evaluate, export, fit, render, save, shape, view};
 use crate::scene::{
     CameraSpec, LightSource, Pass, Scene, Surface as SurfaceSpec, ViewPass, Views, unknown_parts,
 };
-use crate::survey::{Severity, Survey, look::ViewLook, open::OpenScene};
+use crate::survey::{Severity, Survey, open::OpenScene};
 use crate::{scene::load::LoadedScene, spawn::SurfaceUse, spawn::load_light};
 use lobelia_geometry::error::stop::{check_interrupted, finish_stopping, stopped_by};
 use lobelia_geometry::parallel;
+use lobelia_geometry::view::look::ViewLook;
 use lobelia_geometry::{error::Error, error::Result, view::ViewRecord};
 use lobelia_io::codec::file::{FolderLock, check_writable, clear_scratch};
 use lobelia_io::dataset::load_notes;

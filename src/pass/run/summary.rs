@@ -8,7 +8,7 @@ use crate::pass::{evaluate::PARTS, run::session::METRICS, view::embedded, view_r
 use crate::report::html::{
     FitFinding, FitLog, PassReport, PassViews, REPORT, ReportPicture, RunReport, ViewReport, html,
 };
-use crate::report::{scores::Scores, scores::aligned, tone::MAT, tone::jpeg_address, tone::thumbnail_jpeg};
+use crate::report::{scores::Scores, scores::aligned};
 use crate::{pass::run::preflight::RUN, report::sheet::choose_evenly, scene::fields};
 use bevy_ecs::prelude::{Entity, World};
 use image::{Rgb, RgbImage, RgbaImage};
@@ -16,6 +16,7 @@ use indexmap::{IndexMap, IndexSet};
 use lobelia_geometry::{error::Error, error::Result, view::ViewIndex, view::ViewName};
 use lobelia_io::codec::file::{MOST_TEXT, is_there, read_text, read_up_to, write_bytes};
 use lobelia_io::codec::image::decode;
+use lobelia_io::codec::tone::{MAT, jpeg_address, thumbnail_jpeg};
 use lobelia_sg::color::srgb_from_linear;
 use lobelia_solve::fit::{loss::sums_of_step, run::FitProgress};
 use lobelia_world::material::SpecularLobe;
@@ -439,10 +440,11 @@ fn on_mat(picture: &RgbaImage) -> RgbImage {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::{scores::PassScores, scores::ScaleFound, scores::ViewScores, tone::write_thumbnail};
+    use crate::report::{scores::PassScores, scores::ScaleFound, scores::ViewScores};
     use base64::Engine as _;
     use base64::engine::general_purpose::STANDARD;
     use image::Rgba;
+    use lobelia_io::codec::tone::write_thumbnail;
     use serde_json::{Value, json};
     use std::fs;
     use tempfile::TempDir;

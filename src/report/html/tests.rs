@@ -1,7 +1,7 @@
 use super::*;
 use crate::report::published::SrgbScores;
-use crate::report::tone::{LARGEST_ERROR, heat_color};
 use indexmap::IndexMap;
+use lobelia_io::codec::tone::{LARGEST_ERROR, heat_color};
 
 fn view_scores(name: &str, psnr: f64) -> ViewScores {
     let (name, psnr_raw, scale, srgb, stanford_orb) = (name.into(), psnr - 1.0, None, None, None);

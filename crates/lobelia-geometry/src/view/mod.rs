@@ -6,10 +6,14 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`camera`] | the pinhole camera, projection, construction by target point, orbits |
+//! | [`look`] | a few numbers and a small mask that stand for a view |
+//! | [`metrics`] | PSNR, SSIM and other scores of a picture against its truth |
 //! | [`raster`] | images, masks and windows of them: box filtering, bilinear look-up, distance to silhouettes |
 //! | [`stored`] | photographs and masks as they are kept: small, and cropped |
 
 pub mod camera;
+pub mod look;
+pub mod metrics;
 pub mod raster;
 pub mod stored;
 

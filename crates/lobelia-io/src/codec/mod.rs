@@ -9,6 +9,7 @@
 //! | [`png_file`], [`film`] | | PNG; MP4 (by `ffmpeg`), GIF |
 //! | [`envmap`] | EXR and Radiance HDR environment maps | the same |
 //! | [`npy`] | light lobes in both conventions; matrices, and archives of them | light lobes |
+//! | [`tone`] | | radiance as 8-bit pictures |
 //! | [`texture`] | images as texels of an atlas | |
 //! | [`gltf`], [`usd`] | glTF meshes and materials | glTF; USDA, USDZ |
 //! | [`nearby`] | | suggestions for wrong file and view names |
@@ -26,4 +27,5 @@ pub mod png_file;
 #[cfg(test)]
 pub(crate) mod test_data;
 pub mod texture;
+pub mod tone;
 pub mod usd;

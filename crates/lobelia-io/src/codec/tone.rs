@@ -3,21 +3,21 @@
 //! is in stops, and is applied before the curve.
 //!
 //! ```
-//! use lobelia::glam::Vec3;
-//! use lobelia::report::tone::{Look, Tone, srgb8};
+//! use glam::Vec3;
+//! use lobelia_io::codec::tone::{Look, Tone, srgb8};
 //!
 //! let look = Look { exposure: 1.0, tone: Tone::Srgb };
 //! assert_eq!(look.develop(Vec3::new(0.25, 0.4, 0.75)), Vec3::new(0.5, 0.8, 1.0));
 //! assert_eq!(srgb8(Vec3::new(0.0, 0.5, 2.0)), [0, 188, 255]);
 //! ```
 
+use crate::codec::png_file::{self, PngRows};
+use crate::{codec::file::write_bytes, codec::image::encode_jpeg};
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use glam::{Mat3, Vec3};
 use image::{GrayImage, Rgb, RgbImage, imageops::thumbnail};
 use lobelia_geometry::parallel;
 use lobelia_geometry::{Error, Result, view::Frame};
-use lobelia_io::codec::png_file::{self, PngRows};
-use lobelia_io::{codec::file::write_bytes, codec::image::encode_jpeg};
 use lobelia_sg::color::{linear_from_srgb, srgb_from_linear};
 use png::ColorType;
 use serde::{Deserialize, Serialize};
@@ -112,7 +112,7 @@ pub enum Backdrop<'a> {
 }
 
 /// The light gray that pictures of the object lie on in contact sheets and pages, sRGB.
-pub(crate) const MAT: [u8; 3] = [228, 228, 225];
+pub const MAT: [u8; 3] = [228, 228, 225];
 
 /// A linear image to be tone mapped: coverage-weighted color on black, and coverage in `[0, 1]`.
 #[derive(Clone, Copy, Debug)]
@@ -171,7 +171,7 @@ impl<'a> Picture<'a> {
     }
 
     /// The picture on the mat.
-    pub(crate) fn on_mat(&self) -> Result<RgbImage> {
+    pub fn on_mat(&self) -> Result<RgbImage> {
         let mat = Vec3::from(MAT.map(|byte| linear_from_srgb(f32::from(byte) / 255.0)));
         let samples = self.samples8(&Look::default(), Backdrop::Solid(mat))?;
         let [width, height] = [self.width, self.height].map(|side| side as u32);
@@ -245,7 +245,7 @@ const INFERNO: [[u8; 3]; 9] = [
 
 /// Color of the scale at `value`, which is clamped to `[0, 1]` (NaN is cyan, which the scale does
 /// not contain).
-pub(crate) fn heat_color(value: f32) -> [u8; 3] {
+pub fn heat_color(value: f32) -> [u8; 3] {
     if value.is_nan() {
         return [0, 255, 255];
     }
@@ -257,13 +257,13 @@ pub(crate) fn heat_color(value: f32) -> [u8; 3] {
 }
 
 /// The error at the end of the scale of error maps.
-pub(crate) const LARGEST_ERROR: f32 = 0.25;
+pub const LARGEST_ERROR: f32 = 0.25;
 
 /// Map of the errors of a prediction, on a scale that is the same for all pictures: the color at
 /// the root of error / [`LARGEST_ERROR`], so that small errors are seen and large ones told apart.
 /// An error is the mean absolute difference of the channels, both values clipped to `[0, 1]`, in
 /// linear light. Pixels with zero coverage show the mat.
-pub(crate) fn error_map(
+pub fn error_map(
     [width, height]: [usize; 2],
     [prediction, truth]: [&[Vec3]; 2],
     coverage: &[f32],
@@ -279,7 +279,7 @@ pub(crate) fn error_map(
 /// Quality of the JPEGs, 1 to 100: traces of compression are not seen.
 const QUALITY: u8 = 85;
 /// Bytes that all small pictures of the views of a run may take together.
-pub(crate) const VIEWS_BUDGET: f64 = 5.5e6;
+pub const VIEWS_BUDGET: f64 = 5.5e6;
 /// Bytes of a pixel of a picture of an object, about: measured on renders and error maps at
 /// [`QUALITY`].
 const BYTES_PER_PIXEL: f64 = 0.2;
@@ -289,13 +289,13 @@ const SHORTEST: f64 = 96.0;
 
 /// The longest side of each of `count` pictures that are to keep to about `budget` bytes together,
 /// in pixels.
-pub(crate) fn side_within(count: usize, budget: f64) -> u32 {
+pub fn side_within(count: usize, budget: f64) -> u32 {
     let side = (budget / BYTES_PER_PIXEL / count.max(1) as f64).sqrt();
     side.clamp(SHORTEST, LONGEST) as u32
 }
 
 /// A JPEG as an address, for a page that holds its pictures.
-pub(crate) fn jpeg_address(bytes: &[u8]) -> String {
+pub fn jpeg_address(bytes: &[u8]) -> String {
     format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes))
 }
 
@@ -307,26 +307,26 @@ fn smaller((width, height): (u32, u32), side: u32) -> Option<(u32, u32)> {
 }
 
 /// A mask at the size of [`thumbnail_jpeg`].
-pub(crate) fn thumbnail_mask(mask: &GrayImage, side: u32) -> GrayImage {
+pub fn thumbnail_mask(mask: &GrayImage, side: u32) -> GrayImage {
     smaller(mask.dimensions(), side).map_or_else(|| mask.clone(), |(w, h)| thumbnail(mask, w, h))
 }
 
 /// The picture as a JPEG whose longer side is at most `side` pixels; it is never enlarged.
-pub(crate) fn thumbnail_jpeg(picture: &RgbImage, side: u32) -> Result<Vec<u8>> {
+pub fn thumbnail_jpeg(picture: &RgbImage, side: u32) -> Result<Vec<u8>> {
     let small = smaller(picture.dimensions(), side).map(|(w, h)| thumbnail(picture, w, h));
     encode_jpeg(small.as_ref().unwrap_or(picture), QUALITY)
 }
 
 /// Writes [`thumbnail_jpeg`] to a file.
-pub(crate) fn write_thumbnail(path: &Path, picture: &RgbImage, side: u32) -> Result<()> {
+pub fn write_thumbnail(path: &Path, picture: &RgbImage, side: u32) -> Result<()> {
     write_bytes(path, &thumbnail_jpeg(picture, side)?)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::image::decode;
     use image::Luma;
-    use lobelia_io::codec::image::decode;
 
     #[test]
     fn looked_up_bytes_are_those_of_the_curve() {

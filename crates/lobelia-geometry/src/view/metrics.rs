@@ -5,8 +5,8 @@
 //! the silhouette, which depend on coverage and not on material, are left out.
 //!
 //! ```
-//! use lobelia::glam::Vec3;
-//! use lobelia::report::metrics::{ImagePair, ScaleSums, psnr};
+//! use glam::Vec3;
+//! use lobelia_geometry::view::metrics::{ImagePair, ScaleSums, psnr};
 //!
 //! let (prediction, truth) = ([Vec3::splat(0.6); 64], [Vec3::splat(0.5); 64]);
 //! let mask = [true; 64];
@@ -15,12 +15,12 @@
 //! let mut sums = ScaleSums::default();
 //! sums.add(&pair);
 //! assert!((sums.scale()[0] - 0.5 / 0.6).abs() < 1e-6);
-//! # Ok::<(), lobelia::Error>(())
+//! # Ok::<(), lobelia_geometry::Error>(())
 //! ```
 
+use crate::parallel;
+use crate::{Error, Result, view::raster::FULL_COVERAGE};
 use glam::{DVec3, Vec3};
-use lobelia_geometry::parallel;
-use lobelia_geometry::{Error, Result, view::raster::FULL_COVERAGE};
 use std::ops::Range;
 
 /// The score of equal images, in dB: PSNR is clamped to it because JSON has no infinity (an RMS
@@ -79,7 +79,7 @@ impl<'a> ImagePair<'a> {
     }
 
     /// Prediction and truth of every pixel that counts, in row order.
-    pub(super) fn counted(&self) -> impl Iterator<Item = (DVec3, DVec3)> {
+    pub fn counted(&self) -> impl Iterator<Item = (DVec3, DVec3)> {
         let pixels = self.prediction.iter().zip(self.truth).zip(self.mask);
         pixels.filter(|&(_, &counts)| counts).map(|((p, t), _)| (p.as_dvec3(), t.as_dvec3()))
     }
@@ -90,12 +90,12 @@ impl<'a> ImagePair<'a> {
 /// ones does not change.
 ///
 /// `coverage` is `size[0] * size[1]` values in `[0, 1]`.
-pub(crate) fn erode(size: [usize; 2], coverage: &[f32]) -> Vec<bool> {
+pub fn erode(size: [usize; 2], coverage: &[f32]) -> Vec<bool> {
     eroded(size, 1, |i| coverage[i] >= FULL_COVERAGE)
 }
 
 /// Whether all pixels of a picture are `inside` up to so many pixels to each side of a pixel.
-pub(super) fn eroded([width, height]: [usize; 2], by: usize, inside: impl Fn(usize) -> bool) -> Vec<bool> {
+pub fn eroded([width, height]: [usize; 2], by: usize, inside: impl Fn(usize) -> bool) -> Vec<bool> {
     let around = |at: usize, side: usize| at.saturating_sub(by)..(at + by + 1).min(side);
     let counts = |x, y| around(y, height).all(|y| around(x, width).all(|x| inside(y * width + x)));
     (0..width * height).map(|i| counts(i % width, i / width)).collect()
@@ -147,7 +147,7 @@ pub fn ssim(pair: &ImagePair) -> f64 {
 /// The SSIM of pictures that are computed as they are needed: `value(pixel, channel)` is the
 /// prediction and the truth, in `[0, 1]`, and `counts(pixel)` whether a pixel counts; at least one
 /// must. Values are asked for several times.
-pub(super) fn ssim_of(
+pub fn ssim_of(
     size: [usize; 2],
     counts: impl Fn(usize) -> bool + Sync,
     value: impl Fn(usize, usize) -> [f64; 2] + Sync,
