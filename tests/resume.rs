@@ -128,9 +128,9 @@ fn in_two_rounds(passes: &str, said: &str) -> String {
 #[test]
 fn an_object_that_was_turned_over_goes_on_and_one_under_two_lights() {
     let data = two_balls();
-    let text = in_two_rounds(&fit_and_save("steps: 160"), "");
+    let text = in_two_rounds(&fit_and_save("steps: 120"), "");
     // Between two moves of the rotation, after more, and during the pictures.
-    survives(&data, &text, &[("fit", 40), ("fit", 110), ("novel", 1)]);
+    survives(&data, &text, &[("fit", 40), ("fit", 90), ("novel", 1)]);
     let data = two_balls();
     let text = in_two_rounds(&fit_and_save("steps: 80, detail: true"), ", light: Own");
     survives(&data, &text, &[("fit", 30), ("fit", 61), ("novel", 1)]);

@@ -377,8 +377,8 @@ mod tests {
         refused(&at("a.jpg"), "a file, not a folder");
         for (name, bytes, words) in [
             ("c.png", fs::read(at("a.jpg")).unwrap(), "it holds a JPEG"),
-            ("c.png", b"no picture".to_vec(), "neither JPEG nor PNG"),
-            ("c.jpg", vec![0xff, 0xd8, 0xff, 0xe0, 0, 4], "cannot be read"),
+            ("c.png", b"no picture".to_vec(), "neither PNG, JPEG"),
+            ("c.jpg", vec![0xff, 0xd8, 0xff, 0xe0, 0, 4], "damaged"),
         ] {
             fs::write(at(name), bytes).unwrap();
             refused(folder.path(), words);
