@@ -1,7 +1,8 @@
 //! Tells the command its version, with the commit it is built from: `0.1.0 (abcdef123 2026-11-21)`.
-//! Without git, or apart from this repository (in a package, say), it is the version alone.
+//! Without git, or apart from this repository (in a package, say), it is the version alone. Strips
+//! symbols of programs that are installed.
 
-use std::{path::Path, process::Command};
+use std::{env, path::Path, process::Command};
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
@@ -11,6 +12,11 @@ fn main() {
         None => version.to_owned(),
     };
     println!("cargo::rustc-env=LOBELIA_VERSION={version}");
+    // Cargo does not strip symbols of a package that has an `opt-level` of its own.
+    let is = |name: &str, value: &str| env::var(name).is_ok_and(|is| is == value);
+    if is("PROFILE", "release") && is("DEBUG", "false") && is("CARGO_CFG_TARGET_OS", "linux") {
+        println!("cargo::rustc-link-arg-bins=-Wl,--strip-all");
+    }
 }
 
 /// Short hash and date of the commit that is checked out.
