@@ -18,25 +18,13 @@
 //! ```
 
 use crate::scene::diagnostic::{Problem, SceneText};
-use crate::scene::{Edit, Scene, VERSION, ron_tree, ron_tree::Node, source::set, validate::check};
+use crate::scene::{
+    Edit, Scene, VERSION, ron_tree, ron_tree::Node, source::LoadOptions, source::set, validate::check,
+};
 use lobelia_geometry::{Error, Result};
 use lobelia_io::codec::file::{FileKind, MOST_TEXT, obstacle, read_text};
 use ron::extensions::Extensions;
 use std::path::{Path, PathBuf};
-
-/// Additions of the command line to a scene file.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct LoadOptions {
-    /// Folder that `$DATA` stands for.
-    pub data: Option<PathBuf>,
-    /// `--set` values in order: path and RON text.
-    pub sets: Vec<(String, String)>,
-    /// Replaces the scene's seed.
-    pub seed: Option<u64>,
-    /// Without `data`, leave `$DATA/…` as it is and do not look for it, instead of refusing the
-    /// scene: such a scene can be checked but not run.
-    pub without_data: bool,
-}
 
 /// A scene that was read and checked.
 #[derive(Clone, Debug, PartialEq)]

@@ -23,9 +23,10 @@ mod validate;
 mod views;
 
 pub use description::*;
-pub use load::{LoadOptions, LoadedScene, load, to_ron};
+pub use load::{LoadedScene, load, to_ron};
 pub use passes::*;
 pub use render::*;
+pub use source::LoadOptions;
 pub use source::fields;
 pub(crate) use validate::uses_published;
 pub use validate::{MIN_ROUGHNESS, unknown_parts};

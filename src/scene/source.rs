@@ -1,8 +1,22 @@
-//! `--set path=value` on the text of a scene file, and the values of a scene file of any version by
-//! their paths.
+//! What the command line adds to a scene file: `--set path=value` on its text; and the values of a
+//! scene file of any version by their paths.
 
 use crate::scene::ron_tree::{Body, Node, parse};
-use std::ops::Range;
+use std::{ops::Range, path::PathBuf};
+
+/// Additions of the command line to a scene file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LoadOptions {
+    /// Folder that `$DATA` stands for.
+    pub data: Option<PathBuf>,
+    /// `--set` values in order: path and RON text.
+    pub sets: Vec<(String, String)>,
+    /// Replaces the scene's seed.
+    pub seed: Option<u64>,
+    /// Without `data`, leave `$DATA/…` as it is and do not look for it, instead of refusing the
+    /// scene: such a scene can be checked but not run.
+    pub without_data: bool,
+}
 
 /// A sentence and a help text.
 type Refusal = (String, String);

@@ -1,8 +1,9 @@
 //! Loops on all threads of the current rayon pool.
 //!
-//! A parallel iterator of rayon is compiled anew for each closure, a few thousand lines of LLVM IR each time. Here
-//! threads share the parts of a loop behind one function pointer, and only the plain loop over a part is compiled anew.
-//! Results stand in the order of their indices, so that bits depend neither on parts nor on threads.
+//! A parallel iterator of rayon is compiled anew for each closure, a few thousand lines of LLVM IR
+//! each time. Here threads share the parts of a loop behind one function pointer, and only the plain
+//! loop over a part is compiled anew. Results stand in the order of their indices, so that bits
+//! depend neither on parts nor on threads.
 //!
 //! ```
 //! use lobelia_geometry::parallel;
@@ -21,8 +22,8 @@ use std::sync::{Mutex, PoisonError};
 /// Parts of a loop per thread: enough that all threads end at about the same time.
 const PARTS_PER_THREAD: usize = 16;
 
-/// Returns the values of the indices below `count`, in this order. `grain` is the least number of indices that are worth
-/// a task of their own.
+/// Returns the values of the indices below `count`, in this order. `grain` is the least number of
+/// indices that are worth a task of their own.
 pub fn map<R: Send>(count: usize, grain: usize, value: impl Fn(usize) -> R + Sync) -> Vec<R> {
     gather(count, grain, &|part| part.map(&value).collect())
 }
@@ -60,7 +61,8 @@ pub fn map_items<T: Send, R: Send>(
     flat_map(items.len(), 1, |k| taken(&items[k]).map(&value))
 }
 
-/// Calls `task` with each row of columns; `grain` as for [`map`]. Rows without an element in each column are left out.
+/// Calls `task` with each row of columns; `grain` as for [`map`]. Rows without an element in each
+/// column are left out.
 pub fn for_each_row<C: Rows>(columns: C, grain: usize, task: impl Fn(C::Row) + Sync) {
     let count = columns.count();
     let parts = parts(count, grain);

@@ -416,7 +416,7 @@ impl RunRecord {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::load::{LoadOptions, load};
+    use crate::scene::{LoadOptions, load};
 
     fn plan(files: &[&str]) -> Vec<PassRecord> {
         vec![PassRecord::waiting("novel", files.iter().map(|file| format!("novel/{file}")).collect())]

@@ -11,7 +11,7 @@ pub(crate) use passes::uses_published;
 use crate::scene::{
     Albedo, AlbedoSource, CameraSpec, Dataset, Gloss, Light, LightFrameChoice, LightSource, Material,
     NdfChoice, Pattern, Photographed, PlacementLight, PlacementSpec, Roughness, Scene, Sheen, Specular,
-    SpecularAlbedo, Surface, Tilt, Views, Visibility, diagnostic::Problem, load::LoadOptions,
+    SpecularAlbedo, Surface, Tilt, Views, Visibility, diagnostic::Problem, source::LoadOptions,
 };
 use glam::Vec3;
 use lobelia_geometry::mesh::MAX_COORDINATE;

@@ -19,18 +19,15 @@ pub enum StopSignal {
     Terminate = 2,
     /// SIGHUP: the terminal was closed.
     HangUp = 3,
-    /// The button of the page that `lobelia run --live` serves.
-    Page = 4,
 }
 
 impl StopSignal {
-    const ALL: [Self; 4] = [Self::Interrupt, Self::Terminate, Self::HangUp, Self::Page];
+    const ALL: [Self; 3] = [Self::Interrupt, Self::Terminate, Self::HangUp];
 
-    /// The exit code of a process that it stops: 128 plus the number of the signal; that of Ctrl-C
-    /// for the page.
+    /// The exit code of a process that it stops: 128 plus the number of the signal.
     pub fn exit_code(self) -> u8 {
         match self {
-            Self::Interrupt | Self::Page => 130,
+            Self::Interrupt => 130,
             Self::Terminate => 143,
             Self::HangUp => 129,
         }
@@ -43,7 +40,6 @@ impl fmt::Display for StopSignal {
             Self::Interrupt => "Ctrl-C",
             Self::Terminate => "SIGTERM",
             Self::HangUp => "SIGHUP",
-            Self::Page => "the button of its page",
         })
     }
 }

@@ -1,7 +1,7 @@
 //! Reading OpenEXR: channels of flat layers as `f32`, laid out on the display window. Pixels of the
 //! window outside a layer are 0.
 
-use crate::codec::image::Source;
+use crate::codec::file::Source;
 use crate::codec::image::format::{Format, ImageHeader, MAX_DECODED_BYTES};
 use crate::codec::{file::open, nearby::missing_file_help};
 use exr::block::reader::{ChunksReader, Reader};

@@ -18,7 +18,7 @@ pub(crate) use write::{folder_of, not_written};
 use faults::{Call, meet};
 use lobelia_geometry::{Error, Result};
 use std::fs::{self, File, FileType, ReadDir};
-use std::io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// Most bytes of a text file that people write: a scene, a light. The largest scene that a pass
@@ -85,6 +85,10 @@ impl Seek for DiskFile {
         self.file.seek(to)
     }
 }
+
+/// Bytes that a decoder reads. Decoders are generic; of one type of source, each is compiled once.
+pub(crate) trait Source: BufRead + Seek {}
+impl<T: BufRead + Seek> Source for T {}
 
 /// The kind of entry that must be at a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

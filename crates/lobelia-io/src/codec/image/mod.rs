@@ -30,7 +30,7 @@ pub use linear::{
     BRIGHTEST, Gamma, LoadedImage, Repairs, decode_photograph, linear_image, read_image, read_mask,
 };
 
-use crate::codec::file::{DiskFile, first_bytes, open};
+use crate::codec::file::{DiskFile, Source, first_bytes, open};
 use crate::codec::{exr::decode_exr_picture, exr::exr_header, nearby::missing_file_help};
 use format::{check_size, damaged, recognize};
 use image::{
@@ -39,12 +39,8 @@ use image::{
     codecs::png::PngEncoder, codecs::webp::WebPDecoder, metadata::Orientation as ExifOrientation,
 };
 use lobelia_geometry::{Error, Result};
-use std::io::{BufRead, BufReader, Cursor, Read as _, Seek};
+use std::io::{BufReader, Cursor, Read as _, Seek as _};
 use std::path::Path;
-
-/// Bytes that a decoder reads. Decoders are generic; of one type of source, each is compiled once.
-pub(crate) trait Source: BufRead + Seek {}
-impl<T: BufRead + Seek> Source for T {}
 
 /// A picture as a JPEG of this quality, 1 to 100.
 ///

@@ -1,6 +1,6 @@
 //! TIFF: gray and RGB with and without alpha, 8 and 16 bit and float.
 
-use crate::codec::image::Source;
+use crate::codec::file::Source;
 use crate::codec::image::format::MAX_DECODED_BYTES;
 use crate::codec::image::format::{Format, ImageHeader, ImageSamples, damaged, raw};
 use lobelia_geometry::{Error, Result};
