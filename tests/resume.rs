@@ -2,7 +2,7 @@
 
 use crate::common::{self, AtStep, AtWork, Data, ENDLESS, Outcome, changed, colmap_scene, files_below, join};
 use crate::photos::photographs;
-use lobelia::pass::progress::{Progress, Silent};
+use lobelia::object::progress::{Progress, Silent};
 use lobelia::{codec::gltf::export::write_glb, prelude::*};
 use serde_json::Value;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -16,11 +16,11 @@ fn run(data: &Data, scene: &str, out: &str, resume: bool, death: Option<Death>) 
     // A run without a break does not pause either.
     let checkpoint_every = (resume || death.is_some()).then_some(Duration::ZERO);
     let kill: fn() = || resume_unwind(Box::new("killed"));
-    let progress: Box<dyn Progress> = match death {
-        Some((pass, step)) => Box::new(AtStep(pass, step, kill)),
-        None => Box::new(Silent),
+    let progress: Arc<dyn Progress> = match death {
+        Some((pass, step)) => Arc::new(AtStep(pass, step, kill)),
+        None => Arc::new(Silent),
     };
-    let run = || data.run_here(scene, out, checkpoint_every, resume, &*progress);
+    let run = || data.run_here(scene, out, checkpoint_every, resume, progress.clone());
     catch_unwind(AssertUnwindSafe(run)).map_err(|_| ())
 }
 

@@ -2,10 +2,10 @@
 //! changed nor written over.
 
 use crate::common::*;
-use lobelia::pass::progress::Silent;
+use lobelia::object::progress::Silent;
 use serde_json::json;
 use std::process::{Command, Stdio};
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 const FIT: &str = r#"Fit(name: "fit", steps: 30, batch: 256), "#;
 
@@ -34,7 +34,7 @@ fn a_truth_that_goes_while_the_fit_works_costs_its_scores_alone_and_the_run_goes
     let (truth, aside) = (data.path("test/gt/relit/rgb_000001.exr"), data.path("aside.exr"));
     let (from, to) = (truth.clone(), aside.clone());
     let meddler = AtStep("fit", 5, move || _ = std::fs::rename(&from, &to));
-    let error = data.run_here(&scene, "out", Some(Duration::ZERO), false, &meddler).unwrap_err();
+    let error = data.run_here(&scene, "out", Some(Duration::ZERO), false, Arc::new(meddler)).unwrap_err();
     assert!(error.to_string().contains("rgb_000001.exr: the file has gone since the run began"), "{error}");
     assert!(error.help().unwrap().contains("--resume"), "{error:?}");
     assert_eq!(data.states("out"), ["finished", "finished", "failed", "finished"]);
@@ -42,7 +42,7 @@ fn a_truth_that_goes_while_the_fit_works_costs_its_scores_alone_and_the_run_goes
     assert_eq!(data.manifest("out")["state"], "failed");
     // Back where it was, the run goes on.
     std::fs::rename(aside, truth).unwrap();
-    data.run_here(&scene, "out", Some(Duration::ZERO), true, &Silent).unwrap();
+    data.run_here(&scene, "out", Some(Duration::ZERO), true, Arc::new(Silent)).unwrap();
     assert_eq!(data.states("out"), ["finished"; 4]);
 }
 
@@ -167,6 +167,6 @@ fn what_a_true_mesh_names_is_watched() {
     let scene = usual().replace("Evaluate(", r#"Evaluate(mesh: "$DATA/true/mesh.gltf", "#);
     let buffer = data.path("true/a.bin");
     let meddler = AtStep("fit", 5, move || std::fs::write(&buffer, [0; 48]).unwrap());
-    let error = data.run_here(&scene, "out", Some(Duration::ZERO), false, &meddler).unwrap_err();
+    let error = data.run_here(&scene, "out", Some(Duration::ZERO), false, Arc::new(meddler)).unwrap_err();
     assert!(error.to_string().contains("a.bin: the file has changed since the run began"), "{error}");
 }

@@ -7,8 +7,9 @@
 //! EXR files that the passes wrote, so that the scores apply to the written files; files of ground
 //! truth are named and read as the second half says.
 
+use crate::object::{Object, photograph::TrueObject};
 use crate::pass::render::{ChosenView, chosen_views};
-use crate::pass::{run::session::Session, view_report, view_report::outlier_share};
+use crate::pass::{view_report, view_report::outlier_share};
 use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{SheetRow, choose_evenly, write_sheet};
 use crate::scene::{EvaluatePass, LayerTruth, Pass, ScoreScale, Truth, TruthFiles, VIEW};
@@ -20,6 +21,7 @@ use lobelia_geometry::view::{Image, Photograph, Placement, ViewMask, camera::Cam
 use lobelia_io::codec::image::{Gamma, IMAGE_EXTENSIONS, Orientation, image_header, read_image};
 use lobelia_io::codec::tone::{Picture, VIEWS_BUDGET, error_map, side_within, write_thumbnail};
 use lobelia_io::codec::{exr_frame::Layer, exr_frame::read_frame_layers, gltf::import::read_mesh};
+use lobelia_world::light::lights::named_light;
 use std::{ops::RangeInclusive, path::Path, path::PathBuf};
 use tracing::info_span;
 
@@ -54,21 +56,21 @@ enum TrueImages {
     Made(Vec<Vec<Vec3>>),
 }
 
-pub(crate) fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
-    let counts = pass.scores.iter().map(|score| Ok(views_of(session, &score.pass)?.len()));
+pub(crate) fn run(object: &mut Object, out: &Path, pass: &EvaluatePass) -> Result<()> {
+    let counts = pass.scores.iter().map(|score| Ok(views_of(object, &score.pass)?.len()));
     let views = counts.sum::<Result<usize>>()?;
     let side = side_within(views * PARTS.len(), VIEWS_BUDGET);
     let count = pass.scores.len();
-    let rows: Vec<_> = (0..count).map(|i| score_pass(session, pass, i, side)).collect::<Result<_>>()?;
+    let rows: Vec<_> = (0..count).map(|i| score_pass(object, out, pass, i, side)).collect::<Result<_>>()?;
     if let Some(path) = &pass.mesh {
-        let (found, truth) = (session.surface.mesh(), read_mesh(path)?);
-        session.scores.chamfer = chamfer_distance(found, &truth, session.scene.seed);
+        let chamfer = chamfer_distance(object.surface().mesh(), &read_mesh(path)?, object.scene().seed);
+        object.scores().chamfer = chamfer;
     }
     if !rows.is_empty() {
-        let path = session.out.join(&pass.name).join("contact_sheet.png");
-        let title = session.out.file_name().unwrap_or_default().to_string_lossy();
+        let path = out.join(&pass.name).join("contact_sheet.png");
+        let title = out.file_name().unwrap_or_default().to_string_lossy();
         write_sheet(&path, &title, "prediction, truth, error", &rows)?;
-        session.progress.print(&format!("{}: {}", pass.name, path.display()));
+        object.print(&format!("{}: {}", pass.name, path.display()));
     }
     Ok(())
 }
@@ -76,7 +78,7 @@ pub(crate) fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
 /// Scores the pass that `pass.scores[i]` names, and writes pictures of its views with sides of at
 /// most `side` pixels. Returns its row of the contact sheet. The first one also has a report of its
 /// views, and its layers are scored.
-fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -> Result<SheetRow> {
+fn score_pass(object: &mut Object, out: &Path, pass: &EvaluatePass, i: usize, side: u32) -> Result<SheetRow> {
     let score = &pass.scores[i];
     let (scaling, layers): (_, &[Layer]) = match score.scale {
         ScoreScale::None => (Scaling::None, &[]),
@@ -84,17 +86,19 @@ fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -
         ScoreScale::PerView => (Scaling::PerView, &[]),
         ScoreScale::PerLayer => (Scaling::PerLayer, &[Layer::Diffuse, Layer::Specular]),
     };
-    let views = views_of(session, &score.pass)?;
+    let views = views_of(object, &score.pass)?;
     let truths = match (&score.truth, score.truth.files()) {
         // The true object under the light and edits of the pass.
         (Truth::SelfMade { spp }, _) => {
-            let edits = session.pass_named(Some(&score.pass)).map_or(&[] as &[_], Pass::edits);
-            let (light, world) = (session.pass_lights.get(&score.pass), &session.pipeline.world);
+            let scene = object.scene();
+            let edits = scene.pass_named(Some(&score.pass)).map_or(&[] as &[_], Pass::edits);
+            let bar = object.progress().bar("truth", views.len() as u64);
+            let world = &mut object.pipeline.world;
+            let light = named_light(world, &score.pass);
             let of = |view: &ChosenView| world.get::<Placement>(view.entity).copied().unwrap_or_default();
             let shown: Vec<_> = views.iter().map(|view| (view.camera, of(view))).collect();
-            let bar = session.progress.bar("truth", views.len() as u64);
-            let seed = session.scene.seed.wrapping_add(1_000_003);
-            let truth = session.truth.as_mut().ok_or_else(no_true_object)?;
+            let seed = scene.seed.wrapping_add(1_000_003);
+            let mut truth = world.get_resource_mut::<TrueObject>().ok_or_else(no_true_object)?;
             let frames = truth.pictures(&shown, light, edits, *spp, seed, || bar.inc(1))?;
             bar.finish_and_clear();
             TrueImages::Made(frames.into_iter().map(|frame| frame.color).collect())
@@ -105,49 +109,49 @@ fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -
     let scored = ScoredPass { name: score.pass.clone(), views, truths };
     let mut overlaps = vec![None; scored.views.len()];
     let scores = score_views(scored.views.len(), scaling, |k| {
-        let view = scored.load(session, k, layers)?;
+        let view = scored.load(object, out, k, layers)?;
         overlaps[k] = view.mask_iou;
         Ok(view.eval)
     })?;
-    let folder = session.out.join(&pass.name);
-    let (row, outliers) = show_views(session, &scored, &scores, layers, &folder.join(&score.pass), side)?;
+    let folder = out.join(&pass.name);
+    let (row, outliers) = show_views(object, out, &scored, &scores, layers, &folder.join(&score.pass), side)?;
     if i == 0 {
         let each = scored.views.iter().zip(&scores.views).zip(outliers);
         let each = each.map(|((view, scores), outliers)| (view.entity, (scores.psnr, outliers)));
-        view_report::write(session, &folder, &each.collect())?;
+        view_report::write(object, &folder, &each.collect())?;
     }
-    session.scores.passes.insert(score.pass.clone(), scores);
+    object.scores().passes.insert(score.pass.clone(), scores);
     if i == 0 {
-        session.scores.mask_iou = mean(overlaps.into_iter().flatten());
+        object.scores().mask_iou = mean(overlaps.into_iter().flatten());
         if let Some(truth) = &pass.albedo {
             let pixels = (0..scored.views.len())
-                .map(|i| layer_pixels(session, &scored, truth, Layer::Albedo, i))
+                .map(|i| layer_pixels(object, out, &scored, truth, Layer::Albedo, i))
                 .collect::<Result<Vec<_>>>()?;
             let pairs = pixels.iter().map(LayerPixels::pair).collect::<Result<Vec<_>>>()?;
-            session.scores.albedo_psnr = albedo_psnr(&pairs);
+            object.scores().albedo_psnr = albedo_psnr(&pairs);
         }
         if let Some(truth) = &pass.normal {
             let mut angles = NormalAngles::default();
             for i in 0..scored.views.len() {
-                angles.add(&layer_pixels(session, &scored, truth, Layer::Normal, i)?.pair()?);
+                angles.add(&layer_pixels(object, out, &scored, truth, Layer::Normal, i)?.pair()?);
             }
-            session.scores.normal_deg = angles.mean_degrees();
-            session.scores.normal_pixels = Some(angles.pixels() as u64);
-            session.scores.normal_median_deg = angles.median_degrees();
+            object.scores().normal_deg = angles.mean_degrees();
+            object.scores().normal_pixels = Some(angles.pixels() as u64);
+            object.scores().normal_median_deg = angles.median_degrees();
         }
     }
     Ok(row)
 }
 
 impl ScoredPass {
-    fn load(&self, session: &Session, i: usize, layers: &[Layer]) -> Result<ScoredView> {
+    fn load(&self, object: &Object, out: &Path, i: usize, layers: &[Layer]) -> Result<ScoredView> {
         check_interrupted()?;
         let _reading = info_span!("views read").entered();
         let view = &self.views[i];
-        let path = session.out.join(&self.name).join(format!("{}.exr", view.stem));
+        let path = out.join(&self.name).join(format!("{}.exr", view.stem));
         let frame = read_frame_layers(path, layers)?;
         let place = || format!("{}, view {}", self.name, view.stem);
-        let world = &session.pipeline.world;
+        let world = &object.pipeline.world;
         // True radiance, the coverage of a picture of encoded colors that has some, and whether it
         // is one, as those of the field's tables are: any but floats.
         let (truth, covered, in_srgb) = match &self.truths {
@@ -189,10 +193,11 @@ impl ScoredPass {
 }
 
 /// The views that a pass rendered, by the scene file.
-fn views_of(session: &mut Session, pass: &str) -> Result<Vec<ChosenView>> {
-    let settings = session.pass_named(Some(pass)).and_then(Pass::render);
+fn views_of(object: &mut Object, pass: &str) -> Result<Vec<ChosenView>> {
+    let scene = object.scene();
+    let settings = scene.pass_named(Some(pass)).and_then(Pass::render);
     let none = || Error::run("evaluate", format!("there is no earlier pass {pass} that renders"));
-    Ok(chosen_views(&mut session.pipeline.world, settings.ok_or_else(none)?))
+    Ok(chosen_views(&mut object.pipeline.world, settings.ok_or_else(none)?))
 }
 
 fn no_true_object() -> Error {
@@ -214,21 +219,23 @@ impl LayerPixels {
 
 /// A layer of view `i`.
 fn layer_pixels(
-    session: &mut Session,
+    object: &mut Object,
+    out: &Path,
     scored: &ScoredPass,
     truth: &LayerTruth,
     layer: Layer,
     i: usize,
 ) -> Result<LayerPixels> {
-    let view = scored.load(session, i, &[layer])?;
+    let view = scored.load(object, out, i, &[layer])?;
     let ChosenView { stem, name, camera, .. } = &scored.views[i];
     let is_normal = layer == Layer::Normal;
     let truth: Vec<Vec3> = match truth.files() {
         Some(files) => files.read_layer(layer, [stem, name], camera)?,
         None => {
-            let seed = session.scene.seed.wrapping_add(i as u64);
-            let object = session.truth.as_mut().ok_or_else(no_true_object)?;
-            let frames = object.pictures(&[(*camera, Placement::default())], None, &[], 16, seed, || ())?;
+            let seed = object.scene().seed.wrapping_add(i as u64);
+            let truth = object.pipeline.world.get_resource_mut::<TrueObject>();
+            let mut truth = truth.ok_or_else(no_true_object)?;
+            let frames = truth.pictures(&[(*camera, Placement::default())], None, &[], 16, seed, || ())?;
             frames.into_iter().flat_map(|f| if is_normal { f.normal } else { f.albedo }).collect()
         }
     };
@@ -246,7 +253,8 @@ fn layer_pixels(
 /// row of a few views for the contact sheet (prediction, ground truth, error) and the share of
 /// outliers of each view, of the prediction as it is scored.
 fn show_views(
-    session: &Session,
+    object: &Object,
+    out: &Path,
     scored: &ScoredPass,
     scores: &PassScores,
     layers: &[Layer],
@@ -258,7 +266,7 @@ fn show_views(
     let (mut cells, mut outliers) = (Vec::new(), Vec::new());
     for (i, chosen) in scored.views.iter().enumerate() {
         check_interrupted()?;
-        let view = scored.load(session, i, layers)?;
+        let view = scored.load(object, out, i, layers)?;
         let EvalView { name, width, height, truth, .. } = &view.eval;
         let shown = scores.scored_prediction(&view.eval);
         outliers.push(outlier_share(&view.eval, &shown));

@@ -1,8 +1,9 @@
 //! The `Export` pass: the object as a mesh for other programs, with fewer triangles if asked, and
 //! the light beside it as environment maps.
 
+use crate::object::{Object, fit::carried_blends, show::material_of};
 use crate::scene::{ExportPass, ExportScale, ExportUp, Light, MeshFormat, Pass};
-use crate::{pass::run::session::Session, pass::show::material_of};
+use bevy_ecs::prelude::World;
 use glam::{Mat3, Quat, Vec3};
 use image::ExtendedColorType;
 use lobelia_geometry::mesh::tangents::{relative_normals, texel_frames, vertex_tangents};
@@ -20,10 +21,11 @@ use lobelia_io::codec::{
 };
 use lobelia_sg::{color::srgb_from_linear, ray::Hit, reflectance::ANGLES, sg::sphere_integral};
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
-use lobelia_world::light::{EnvironmentMap, LightLobe, lights::own_lobes, render_lobes, rotate_lobes};
-use lobelia_world::material::{MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, edit::MaterialState};
+use lobelia_world::light::lights::{named_light, own_lobes, own_map};
+use lobelia_world::light::{EnvironmentMap, LightLobe, render_lobes, rotate_lobes};
+use lobelia_world::material::{SpecularBlend, SpecularLobe, edit::MaterialState};
 use lobelia_world::{light::convention::MapConvention, material::sheen::mean_albedo};
-use std::{f32::consts::TAU, sync::Arc};
+use std::{f32::consts::TAU, path::Path, sync::Arc};
 
 /// Texture files of a USD file.
 const BASE_COLOR: &str = "mesh_base_color.png";
@@ -31,30 +33,30 @@ const REFLECTANCE: &str = "mesh_reflectance.png";
 const ROUGHNESS: &str = "mesh_roughness.png";
 
 /// Writes the object in the formats that the pass names.
-pub(crate) fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
-    let material = material_of(session, pass.of.as_deref())?;
-    let mut object = Object::new(session.surface.clone(), material);
-    if let Some(target) = pass.triangles.filter(|&n| (n as usize) < object.surface.mesh().triangles.len()) {
-        object = object.coarser(target as usize)?;
+pub(crate) fn run(object: &mut Object, out: &Path, pass: &ExportPass) -> Result<()> {
+    let material = material_of(object, pass.of.as_deref())?;
+    let mut exported = Exported::new(object.surface(), material);
+    if let Some(target) = pass.triangles.filter(|&n| (n as usize) < exported.surface.mesh().triangles.len()) {
+        exported = exported.coarser(target as usize)?;
     }
-    let (mesh, turn, up) = transformed(session.scene.up, pass, object.surface.mesh());
-    let folder = session.out.join(&pass.name);
-    let light = environment(session, pass, turn);
+    let (mesh, turn, up) = transformed(object.scene().up, pass, exported.surface.mesh());
+    let folder = out.join(&pass.name);
+    let light = environment(object, pass, turn);
     for (map, (name, convention)) in light.iter().flat_map(|map| MAPS.map(|file| (map, file))) {
         write_map_hdr(&convention.from_lobelia(map.clone()), &folder.join(name))?;
     }
     for format in &pass.formats {
         let path = folder.join(file_of(*format));
         match format {
-            MeshFormat::Glb => write_glb(&path, &mesh, Some(&gltf(&object)?)),
+            MeshFormat::Glb => write_glb(&path, &mesh, Some(&gltf(&exported)?)),
             MeshFormat::Usda => {
                 // The map of the light is in the convention of three.js.
                 let light = light.as_ref().map(|_| (LIGHT, LIGHT_TURN));
-                write_usda(&path, &mesh, &usd(&object)?, up, light)
+                write_usda(&path, &mesh, &usd(&exported)?, up, light)
             }
-            MeshFormat::Usdz => write_usdz(&path, &mesh, &usd(&object)?, up),
+            MeshFormat::Usdz => write_usdz(&path, &mesh, &usd(&exported)?, up),
         }?;
-        session.progress.print(&format!("{}: {}", pass.name, path.display()));
+        object.print(&format!("{}: {}", pass.name, path.display()));
     }
     if pass.formats.contains(&MeshFormat::Glb) {
         let page = page(file_of(MeshFormat::Glb), light.map(|_| LIGHT));
@@ -85,7 +87,7 @@ pub fn files(pass: &ExportPass) -> Vec<String> {
     pass.formats.iter().flat_map(of_format).chain(MAPS.map(|(name, _)| name)).map(str::to_owned).collect()
 }
 
-fn gltf(object: &Object) -> Result<GltfMaterial> {
+fn gltf(object: &Exported) -> Result<GltfMaterial> {
     let TexelMaterial { base, dielectrics, roughness } = object.look(None);
     // The normal map of an object with fewer triangles.
     let normal = |normal: &Vec3| (0.5 * *normal + 0.5).to_array().map(byte);
@@ -119,7 +121,7 @@ fn gltf(object: &Object) -> Result<GltfMaterial> {
 }
 
 /// The material as USD has it, in which F90 is one.
-fn usd(object: &Object) -> Result<UsdMaterial> {
+fn usd(object: &Exported) -> Result<UsdMaterial> {
     let look = object.look(Some(1.0));
     let image = |name: &str, png: Vec<u8>| UsdImage { name: name.to_owned(), png };
     let diffuse = image(BASE_COLOR, object.color_png(&look.base)?);
@@ -226,30 +228,29 @@ const WIDTH: u32 = 1024;
 
 /// The light that the pass shows, turned as the object, as a map: the given one, or the lobes'
 /// radiance; `None` if there is none yet.
-fn environment(session: &mut Session, pass: &ExportPass, turn: Quat) -> Option<EnvironmentMap> {
-    let of_pass = session.pass_lights.get(pass.of.as_deref().unwrap_or_default());
-    if let Some(light) = of_pass {
-        return Some(match &light.map {
+fn environment(object: &mut Object, pass: &ExportPass, turn: Quat) -> Option<EnvironmentMap> {
+    let (scene, world) = (object.scene(), &mut object.pipeline.world);
+    if let Some((lobes, map)) = named_light(world, pass.of.as_deref().unwrap_or_default()) {
+        return Some(match map {
             Some(map) => turned_map(map.map(), turn),
-            None => map_of_lobes(&light.lobes, turn),
+            None => map_of_lobes(&lobes, turn),
         });
     }
-    let mut earlier = session.scene.passes.iter().take_while(|other| other.name() != pass.name);
-    let is_found = !matches!(session.scene.light, Light::Unknown(_))
+    let mut earlier = scene.passes.iter().take_while(|other| other.name() != pass.name);
+    let is_found = !matches!(scene.light, Light::Unknown(_))
         || earlier.any(|other| matches!(other, Pass::Fit(_) | Pass::Shape(_)));
-    let fixed = matches!(session.scene.light, Light::Fixed(_));
-    let given = session.own_light.as_ref().filter(|_| fixed).and_then(|light| light.map.clone());
-    let turn = turn * own_turn(session);
+    let fixed = matches!(scene.light, Light::Fixed(_));
+    let given = own_map(world).filter(|_| fixed);
+    let turn = turn * own_turn(world);
     match given {
         Some(map) => Some(turned_map(map.map(), turn)),
-        None => is_found.then(|| map_of_lobes(&own_lobes(&mut session.pipeline.world), turn)),
+        None => is_found.then(|| map_of_lobes(&own_lobes(world), turn)),
     }
 }
 
 /// The rotation of the own light into the world. One that goes with the camera stands as the first
 /// view has it.
-fn own_turn(session: &mut Session) -> Quat {
-    let world = &mut session.pipeline.world;
+fn own_turn(world: &mut World) -> Quat {
     let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
     if frame == LightFrame::World {
         return Quat::IDENTITY;
@@ -282,11 +283,8 @@ fn map_of_lobes(lobes: &[LightLobe], turn: Quat) -> EnvironmentMap {
     render_lobes(&rotate_lobes(&lobes, turn), WIDTH, WIDTH / 2)
 }
 
-/// Triplets of values that hold the blend weights of a texel.
-const WEIGHT_TRIPLETS: usize = MAX_SPECULAR_LOBES.div_ceil(3);
-
 /// The exported object.
-struct Object {
+struct Exported {
     surface: Arc<Surface>,
     albedo: Vec<Vec3>,
     /// Its base materials, with their numbers.
@@ -307,7 +305,7 @@ struct TexelMaterial {
     roughness: Vec<f32>,
 }
 
-impl Object {
+impl Exported {
     fn new(surface: Arc<Surface>, material: MaterialState) -> Self {
         // Other programs know no sheen of this kind: they get its mean.
         let both = material.albedo.iter().zip(&material.sheen);
@@ -403,18 +401,6 @@ impl Object {
 
 fn byte(value: f32) -> u8 {
     (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
-}
-
-/// Blend weights as `carried` changes triplets of values, or carries them from one atlas to
-/// another.
-pub fn carried_blends(of: &[SpecularBlend], carried: &dyn Fn(&[Vec3]) -> Vec<Vec3>) -> Vec<SpecularBlend> {
-    let weight = |blend: &SpecularBlend, k: usize| blend.0.get(k).copied().unwrap_or(0.0);
-    let triplets: [Vec<Vec3>; WEIGHT_TRIPLETS] = std::array::from_fn(|t| {
-        let triplet = |blend: &SpecularBlend| Vec3::from_array([0, 1, 2].map(|c| weight(blend, 3 * t + c)));
-        carried(&of.iter().map(triplet).collect::<Vec<_>>())
-    });
-    let count = triplets[0].len();
-    (0..count).map(|i| SpecularBlend(std::array::from_fn(|k| triplets[k / 3][i][k % 3]))).collect()
 }
 
 #[cfg(test)]
@@ -540,7 +526,7 @@ mod tests {
             blends: vec![SpecularBlend::default(); texels],
             lobes: vec![Some(SpecularLobe { ndf: Ndf::Sg, ..SpecularLobe::new(Vec3::splat(0.04), 0.4) })],
         };
-        let full = Object::new(surface, material);
+        let full = Exported::new(surface, material);
         assert!(full.relative_normals.is_none());
         let coarse = full.coarser(120).unwrap();
         let atlas = coarse.surface.atlas();

@@ -11,20 +11,17 @@
 //! | `Export` | `export` | `mesh.glb`, `mesh.usda`, `mesh.usdz` with their textures; the light as `.hdr`; a page |
 //! | `View` | [`view`] | `view.html` |
 //!
-//! Frames show a material, a light and shading, which passes swap in `show`; `photograph` renders
-//! the photographs that a scene makes of its own object. Everything that is of no single pass is in
-//! `run`.
+//! Passes call an [`Object`](crate::object::Object) and write what comes of it; everything that is of
+//! no single pass is in `run`.
 
 pub(crate) mod evaluate;
 pub(crate) mod export;
 pub(crate) mod fit;
-pub(crate) mod photograph;
 pub(crate) mod render;
 mod run;
 pub mod save;
 pub(crate) mod shape;
-pub(crate) mod show;
 pub mod view;
 mod view_report;
 
-pub use run::{RunOptions, looks, memory, preflight, progress, rehearse, run, summary, write_view};
+pub use run::{RunOptions, looks, memory, preflight, rehearse, run, summary, write_view};

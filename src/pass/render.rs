@@ -1,8 +1,8 @@
 //! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that
 //! `show` swaps in, as views and as films, in which camera, light and material change.
 
-use crate::pass::run::{progress::Bar, session::Session};
-use crate::pass::show::{camera_rays, chosen_light, show, show_placement};
+use crate::object::show::{camera_rays, chosen_light, show, show_placement};
+use crate::object::{Object, progress::Bar};
 use crate::scene::{
     Easing, LightSweep, MaterialSweep, Orbit, OrbitKey, Pass, RenderSettings, Shading, ViewChoice,
 };
@@ -21,7 +21,7 @@ use lobelia_world::light::lights::{IncidentLight, provide_turned_light};
 use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditTarget};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 use lobelia_world::{light::placement::PicturePlacement, material::shown::show_edited, sample::despawn_pool};
-use std::{collections::HashMap, path::PathBuf, sync::mpsc::sync_channel};
+use std::{collections::HashMap, path::Path, path::PathBuf, sync::mpsc::sync_channel};
 use tracing::info_span;
 
 /// Stem of the files of a film.
@@ -30,63 +30,64 @@ const FILM: &str = "orbit";
 const FRAMES: &str = "orbit_frames";
 
 /// Runs one of the three passes.
-pub(crate) fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
-    show(session, pass, settings)?;
+pub(crate) fn run(object: &mut Object, out: &Path, pass: &Pass, settings: &RenderSettings) -> Result<()> {
+    show(object, pass, settings)?;
     let name = pass.name();
-    let folder = session.out.join(name);
-    let views = chosen_views(&mut session.pipeline.world, settings);
+    let folder = out.join(name);
+    let views = chosen_views(&mut object.pipeline.world, settings);
     let film = match &settings.orbit {
-        Some(orbit) => Some((orbit, cameras(session, orbit)?)),
+        Some(orbit) => Some((orbit, cameras(object, orbit)?)),
         None => None,
     };
     let frames = film.as_ref().map_or(0, |(_, cameras)| cameras.len());
-    let bar = session.progress.bar(name, (views.len() + frames) as u64);
+    let bar = object.progress().bar(name, (views.len() + frames) as u64);
     for view in &views {
         check_interrupted()?;
-        show_placement(&mut session.pipeline.world, view.entity);
+        show_placement(&mut object.pipeline.world, view.entity);
         let path = |ending: &str| folder.join(format!("{}.{ending}", view.stem));
         let (camera, size) = (view.camera, [view.camera.width, view.camera.height]);
         // Both band by band.
         let written = write_frame_rows(path("exr"), size.map(|side| side as usize), |layers| {
             write_png_rows(path("png"), size, !settings.backdrop, |colors| {
-                let pipeline = &mut session.pipeline;
+                let pipeline = &mut object.pipeline;
                 bands(pipeline, camera, settings, Backdrop::Transparent, &mut |frame, samples| {
                     layers.push(frame)?;
                     colors.push(samples)
                 })
             })
         });
-        session.pipeline.world.remove_resource::<PicturePlacement>();
+        object.pipeline.world.remove_resource::<PicturePlacement>();
         written?;
         bar.inc(1);
     }
     if let Some((orbit, cameras)) = &film {
-        let rendered = render_film(session, pass, settings, (orbit, cameras), &*bar);
-        sweep_material(&mut session.pipeline.world, name, Vec::new());
-        despawn_pool(&mut session.pipeline.world);
+        let rendered = render_film(object, out, pass, settings, (orbit, cameras), &*bar);
+        sweep_material(&mut object.pipeline.world, name, Vec::new());
+        despawn_pool(&mut object.pipeline.world);
         let _writing = info_span!("film written").entered();
         let film = write_film(&folder.join(FILM), &rendered?, orbit.fps)?;
         if film.extension() == Some("gif".as_ref()) {
             let note = format!("the film is a GIF; with `{FFMPEG}` on the PATH it is an MP4");
-            session.progress.note(&note);
+            object.progress().note(&note);
         }
     }
     bar.finish_and_clear();
     let film = if frames > 0 { format!(", {frames} film frames") } else { String::new() };
-    session.progress.print(&format!("{name}: {} views{film}", views.len()));
+    object.print(&format!("{name}: {} views{film}", views.len()));
     Ok(())
 }
 
 /// Renders the frames of a film; a thread writes each as a PNG file while the next one is rendered.
 /// Returns the files.
 fn render_film(
-    session: &mut Session,
+    object: &mut Object,
+    out: &Path,
     pass: &Pass,
     settings: &RenderSettings,
     (orbit, cameras): (&Orbit, &[Camera]),
     bar: &dyn Bar,
 ) -> Result<Vec<PathBuf>> {
-    let folder = session.out.join(pass.name()).join(FRAMES);
+    let folder = out.join(pass.name()).join(FRAMES);
     let files: Vec<PathBuf> = (0..cameras.len()).map(|i| folder.join(format!("{i:06}.png"))).collect();
     let failed = |what: &str| Error::run("making a film", what);
     std::thread::scope(|scope| {
@@ -98,17 +99,17 @@ fn render_film(
             // Swaps in the light of the frame, and edits the material, if the film changes them.
             let time = Time::of(frame, orbit.frames);
             if let Some(sweep) = &orbit.light {
-                let (choice, by_map) = chosen_light(session, pass, settings.shading);
-                let light = provide_turned_light(choice, by_map, light_turn(sweep, session.scene.up, time));
-                session.pipeline.swap(Phase::Frame, Slot::Light, light);
+                let (choice, by_map) = chosen_light(object, pass, settings.shading);
+                let light = provide_turned_light(choice, by_map, light_turn(sweep, object.scene().up, time));
+                object.pipeline.swap(Phase::Frame, Slot::Light, light);
             }
             if let Some(sweep) = &orbit.material {
                 if frame == 0 {
-                    session.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
+                    object.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
                 }
-                sweep_material(&mut session.pipeline.world, pass.name(), factors(sweep, time));
+                sweep_material(&mut object.pipeline.world, pass.name(), factors(sweep, time));
             }
-            let frame = film_frame(&mut session.pipeline, *camera, settings)?;
+            let frame = film_frame(&mut object.pipeline, *camera, settings)?;
             bar.inc(1);
             // A writer that has failed says why below.
             sender.send((file, frame)).map_err(|_| failed("a frame could not be written"))
@@ -258,8 +259,8 @@ impl Time {
 }
 
 /// The cameras of the frames of a film.
-fn cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
-    let (center, size) = session.surface.bounding_sphere();
+fn cameras(object: &Object, orbit: &Orbit) -> Result<Vec<Camera>> {
+    let (center, size) = object.surface().bounding_sphere();
     let [width, height] = orbit.sides();
     // A tenth more than the smallest distance at which the object fits, also into a picture that is
     // higher than wide.
@@ -270,7 +271,7 @@ fn cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
         radius: orbit.radius.unwrap_or(fitting),
         elevation_degrees: orbit.elevation_degrees,
         frames: 1,
-        up: session.scene.up,
+        up: object.scene().up,
         vertical_fov_degrees: orbit.fov_degrees,
         width,
         height,

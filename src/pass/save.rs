@@ -1,12 +1,13 @@
 //! The `Save` pass: writes the object as a scene file.
 
-use crate::pass::{photograph::ring, run::session::Session, show::material_of};
+use crate::object::{Object, photograph::ring, show::material_of};
 use crate::scene::{
     Albedo, AlbedoSource, Dataset, Gloss, Light, LightSource, Material, NdfChoice, Pass, PlacementLight,
     PlacementSpec, Roughness, SavePass, Scene, Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt,
     Views,
 };
 use crate::{scene::load::to_ron, spawn::light::angles, spawn::light::inlined};
+use bevy_ecs::prelude::World;
 use glam::Vec3;
 use lobelia_geometry::{error::Error, error::Result, mesh::atlas::TexelAtlas};
 use lobelia_io::codec::file::{read_bytes, write_bytes};
@@ -16,7 +17,7 @@ use lobelia_sg::brdf::Ndf;
 use lobelia_solve::fit::cameras::CameraFit;
 use lobelia_world::light::placement::{PlacementTurn, Placements, TurnSource};
 use lobelia_world::light::{
-    LightLobe, groups::lobes_of_group, light_frame::OwnLightFrame, lights::own_lobes,
+    LightLobe, groups::lobes_of_group, light_frame::OwnLightFrame, lights::named_light, lights::own_lobes,
 };
 use lobelia_world::material::sheen::has_sheen;
 use lobelia_world::material::{SpecularBlend, SpecularLobe, edit::MaterialState, tilt::has_tilt};
@@ -28,42 +29,41 @@ pub(crate) const RGB: [&str; 3] = ["R", "G", "B"];
 /// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object with the recovered
 /// material and light, or those of the pass `of`, all fixed, with the scene's views (without the
 /// optimized poses of training views).
-pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
-    let folder = session.out.join(&pass.name);
-    let material = material_of(session, pass.of.as_deref())?;
-    let surface = session.surface.clone();
+pub(crate) fn run(object: &mut Object, out: &Path, pass: &SavePass) -> Result<()> {
+    let folder = out.join(&pass.name);
+    let material = material_of(object, pass.of.as_deref())?;
+    let (scene, surface) = (object.scene(), object.surface());
     let atlas = surface.atlas();
     write_glb(&folder.join("mesh.glb"), surface.mesh(), None)?;
     let material = write_material(&folder, &material, atlas)?;
     // The light of the pass `of` if it has one.
-    let of_pass = session.pass_named(pass.of.as_deref()).and_then(Pass::light);
+    let of_pass = scene.pass_named(pass.of.as_deref()).and_then(Pass::light);
     let relit = of_pass.is_some();
-    let fixed = match &session.scene.light {
+    let fixed = match &scene.light {
         Light::Fixed(source) => Some(source),
         Light::Unknown(_) | Light::Initial(_) => None,
     };
     let given = of_pass.or(fixed).cloned();
-    let lobes = match session.pass_lights.get(pass.of.as_deref().unwrap_or_default()) {
-        Some(light) => light.lobes.clone(),
-        None => own_lobes(&mut session.pipeline.world),
-    };
+    let world = &mut object.pipeline.world;
+    let named = named_light(world, pass.of.as_deref().unwrap_or_default());
+    let lobes = named.map_or_else(|| own_lobes(world), |(lobes, _)| lobes);
     let light = save_source(given, &lobes, &folder.join("light"))?;
-    let own = session.pipeline.world.get_resource::<OwnLightFrame>().filter(|_| !relit);
+    let own = world.get_resource::<OwnLightFrame>().filter(|_| !relit);
     let frame = own.map(|own| own.0).unwrap_or_default();
     // With absolute paths; rendered photographs become cameras only, of the object in its first
     // placement. An object that is relit lies in its new light the same in all.
-    let views = match &session.scene.views {
+    let views = match &scene.views {
         Views::Dataset(spec) => {
             let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
-            let found = session.pipeline.world.get_resource::<CameraFit>();
+            let found = world.get_resource::<CameraFit>();
             let focal_scale = spec.focal_scale * found.map_or(1.0, CameraFit::focal_factor);
             // All is known: nothing is left that prior maps would say.
             let priors = Priors::default();
-            let placements = if relit { Vec::new() } else { placements_found(session, spec, &folder)? };
+            let placements = if relit { Vec::new() } else { placements_found(world, spec, &folder)? };
             Views::Dataset(Dataset { path, focal_scale, priors, placements, ..spec.clone() })
         }
         Views::Cameras(cameras) => Views::Cameras(cameras.clone()),
-        Views::Photographed(spec) => Views::Cameras(ring(&spec.cameras, session.scene.up)),
+        Views::Photographed(spec) => Views::Cameras(ring(&spec.cameras, scene.up)),
     };
     let texture_size = atlas.width;
     let saved = Scene {
@@ -72,13 +72,13 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
         light: Light::Fixed(light),
         light_frame: frame.into(),
         material,
-        passes: session.scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
-        ..session.scene.clone()
+        passes: scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
+        ..Scene::clone(&scene)
     };
     let text = to_ron(&saved)?;
     let text = format!("// Saved by Lobelia. Run it again with: lobelia run scene.ron\n{text}\n");
     write_bytes(&folder.join("scene.ron"), text.as_bytes())?;
-    session.progress.print(&format!("{}: {}", pass.name, folder.join("scene.ron").display()));
+    object.print(&format!("{}: {}", pass.name, folder.join("scene.ron").display()));
     Ok(())
 }
 
@@ -173,8 +173,7 @@ fn save_source(given: Option<LightSource>, lobes: &[LightLobe], stem: &Path) -> 
 }
 
 /// The placements with the rotations and lights that were found.
-fn placements_found(session: &mut Session, spec: &Dataset, folder: &Path) -> Result<Vec<PlacementSpec>> {
-    let world = &mut session.pipeline.world;
+fn placements_found(world: &mut World, spec: &Dataset, folder: &Path) -> Result<Vec<PlacementSpec>> {
     let turns = world.get_resource::<Placements>().cloned().unwrap_or_default();
     let found = |(of, turn): (&PlacementSpec, &PlacementTurn)| {
         let found = (turn.source == TurnSource::Found).then(|| angles(turn.room_from_object));

@@ -1,10 +1,10 @@
 //! The `View` pass: a page that shows the object in a browser, with small photographs, of which
 //! only the part that shows the object.
 
+use crate::object::{Object, show::material_of};
 use crate::page::{Contents, PageCamera, PageLight, PagePhotograph, html, upright};
-use crate::pass::run::session::Session;
 use crate::scene::{Pass, ViewPass, load::edit_to_ron};
-use crate::{pass::show::material_of, report::sheet::choose_evenly, survey::counted};
+use crate::{report::sheet::choose_evenly, survey::counted};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use image::{GrayImage, Luma};
@@ -16,44 +16,45 @@ use lobelia_io::codec::file::write_bytes;
 use lobelia_io::codec::tone::{Picture, jpeg_address, side_within, thumbnail_jpeg, thumbnail_mask};
 use lobelia_solve::{fit::exposure::Exposures, visibility::ObjectVisibility};
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
-use lobelia_world::light::{LightLobe, lights::own_lobes, placement::LightGroup, placement::Placements};
+use lobelia_world::light::{
+    LightLobe, lights::named_light, lights::own_lobes, placement::LightGroup, placement::Placements,
+};
 use std::path::Path;
 
 /// The page's file name.
 pub const PAGE: &str = "view.html";
 
 /// Writes the page of the object, with the lights of all passes.
-pub(crate) fn run(session: &mut Session, pass: &ViewPass) -> Result<()> {
-    let named = session.scene.passes.iter().filter_map(|pass| {
-        let light = session.pass_lights.get(pass.name())?;
-        Some((pass.name().to_owned(), light.lobes.clone()))
-    });
-    let named = named.collect();
-    let path = session.out.join(&pass.name).join(PAGE);
-    write_page(session, pass, named, &path)
+pub(crate) fn run(object: &mut Object, out: &Path, pass: &ViewPass) -> Result<()> {
+    let (scene, world) = (object.scene(), &mut object.pipeline.world);
+    let lobes = |pass: &Pass| Some((pass.name().to_owned(), named_light(world, pass.name())?.0));
+    let named = scene.passes.iter().filter_map(lobes).collect();
+    write_page(object, out, pass, named, &out.join(&pass.name).join(PAGE))
 }
 
 /// Writes the page of the object with these lights besides its own.
 pub(crate) fn write_page(
-    session: &mut Session,
+    object: &mut Object,
+    out: &Path,
     pass: &ViewPass,
     named: Vec<(String, Vec<LightLobe>)>,
     path: &Path,
 ) -> Result<()> {
-    let material = material_of(session, pass.of.as_deref())?;
-    let edits = session.pass_named(pass.of.as_deref()).map_or(&[][..], Pass::edits);
+    let material = material_of(object, pass.of.as_deref())?;
+    let scene = object.scene();
+    let edits = scene.pass_named(pass.of.as_deref()).map_or(&[][..], Pass::edits);
     let edits = edits.iter().map(edit_to_ron).collect::<Result<Vec<String>>>()?;
-    let shadows = session.has_visibility()?;
+    let shadows = object.has_visibility()?;
     // Those held out first, each group by name.
-    let mut query = session.pipeline.world.query::<(Entity, &ViewName, &Camera, &Split)>();
+    let mut query = object.pipeline.world.query::<(Entity, &ViewName, &Camera, &Split)>();
     let camera = |(view, name, camera, split): (Entity, &ViewName, &Camera, &Split)| {
         (view, PageCamera { name: name.0.clone(), split: *split, camera: *camera, photograph: None })
     };
-    let mut all: Vec<_> = query.iter(&session.pipeline.world).map(camera).collect();
+    let mut all: Vec<_> = query.iter(&object.pipeline.world).map(camera).collect();
     all.sort_by_cached_key(|(_, camera)| (camera.split != Split::Test, camera.name.clone()));
     let (views, mut cameras): (Vec<_>, Vec<_>) = all.into_iter().unzip();
-    let embedded = add_photographs(&session.pipeline.world, &views, &mut cameras, pass.photographs as usize)?;
-    let world = &mut session.pipeline.world;
+    let embedded = add_photographs(&object.pipeline.world, &views, &mut cameras, pass.photographs as usize)?;
+    let world = &mut object.pipeline.world;
     let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
     let mut lights = vec![PageLight { name: "found".into(), lobes: own_lobes(world), frame, own: true }];
     let frame = LightFrame::World;
@@ -63,22 +64,22 @@ pub(crate) fn write_page(
         lights[..=first].rotate_right(1);
     }
     // That of the scene file, if nobody said another.
-    let title = session.out.file_name().map(|name| name.to_string_lossy().into_owned());
+    let title = out.file_name().map(|name| name.to_string_lossy().into_owned());
     let contents = Contents {
         title: title.as_deref().unwrap_or("Lobelia"),
-        up: upright(&cameras, session.scene.up),
-        surface: &session.surface,
+        up: upright(&cameras, scene.up),
+        surface: &object.surface(),
         material: &material,
         edits,
         lights,
         cameras,
-        visibility: session.pipeline.world.get_resource::<ObjectVisibility>().filter(|_| shadows),
+        visibility: object.pipeline.world.get_resource::<ObjectVisibility>().filter(|_| shadows),
     };
     let text = html(&contents)?;
     write_bytes(path, text.as_bytes())?;
     let mib = text.len() as f64 / 1048576.0;
     let with = if embedded > 0 { format!(", {}", counted(embedded, "photograph")) } else { String::new() };
-    session.progress.print(&format!("{}: {}{with}, {mib:.1} MiB", pass.name, path.display()));
+    object.print(&format!("{}: {}{with}, {mib:.1} MiB", pass.name, path.display()));
     Ok(())
 }
 

@@ -1,7 +1,7 @@
 //! How each view came out, and what went wrong: `views.csv`, and the warnings of `metrics.json`.
 
 use crate::report::scores::{EvalView, ViewOutcome};
-use crate::{pass::run::session::Session, survey::named};
+use crate::{object::Object, survey::named};
 use bevy_ecs::prelude::{Entity, With};
 use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Camera, Photograph, Split, StoredMask, ViewIndex, ViewMask, ViewName};
@@ -27,9 +27,9 @@ const OUTLIERS: f64 = 0.5;
 const RUNAWAY: f32 = 1e4;
 
 /// Notes how the training views came out of a fit, and what went wrong in it.
-pub(super) fn note_fit(session: &mut Session) {
-    let views = silhouettes(session, |_, split| split == Split::Train);
-    let world = &mut session.pipeline.world;
+pub(super) fn note_fit(object: &mut Object) {
+    let views = silhouettes(object, |_, split| split == Split::Train);
+    let world = &mut object.pipeline.world;
     let sums = world.get_resource::<ViewSums>().cloned().unwrap_or_default();
     let mut lobes = own_lobes(world);
     lobes.extend(other_lights(world).into_iter().flat_map(|(lobes, _)| lobes));
@@ -41,38 +41,38 @@ pub(super) fn note_fit(session: &mut Session) {
     let found: Vec<(ViewOutcome, ViewSum)> = views.into_iter().map(with_sums).collect();
     let warnings = warnings(&found, &lobes);
     if let Some(first) = world.get_resource::<StepGuard>().and_then(|guard| guard.first.clone()) {
-        warn(session, format!("steps of a fit were taken back; first {first}"));
+        warn(object, format!("steps of a fit were taken back; first {first}"));
     }
-    session.scores.views = found.into_iter().map(|(view, _)| view).collect();
+    object.scores().views = found.into_iter().map(|(view, _)| view).collect();
     for warning in warnings {
-        warn(session, warning);
+        warn(object, warning);
     }
 }
 
 /// Tells a warning, once, and keeps it for `metrics.json`.
-pub(super) fn warn(session: &mut Session, warning: String) {
-    if !session.scores.warnings.contains(&warning) {
-        session.progress.note(&warning);
-        session.scores.warnings.push(warning);
+pub(super) fn warn(object: &mut Object, warning: String) {
+    if !object.scores().warnings.contains(&warning) {
+        object.progress().note(&warning);
+        object.scores().warnings.push(warning);
     }
 }
 
 /// The views with photographs that are wanted, in the order of their numbers, with their masks
 /// beside the surface.
 fn silhouettes(
-    session: &mut Session,
+    object: &mut Object,
     wanted: impl Fn(Entity, Split) -> bool,
 ) -> Vec<(Entity, ViewIndex, ViewOutcome)> {
-    let world = &mut session.pipeline.world;
+    let world = &mut object.pipeline.world;
     let mut query = world.query_filtered::<(Entity, &ViewIndex, &Split), With<Photograph>>();
     let mut views: Vec<_> = query.iter(world).map(|(view, index, split)| (view, *index, *split)).collect();
     views.retain(|(view, _, split)| wanted(*view, *split));
     views.sort_by_key(|(_, index, _)| *index);
-    let (world, surface) = (&session.pipeline.world, &session.surface);
+    let (world, surface) = (&object.pipeline.world, object.surface());
     let outcome = |(view, index, split): (Entity, ViewIndex, Split)| {
         let camera = world.get::<Camera>(view);
         let overlap = camera.zip(world.get::<ViewMask>(view));
-        let overlap = overlap.and_then(|(camera, mask)| overlap_of(surface, camera, &mask.0));
+        let overlap = overlap.and_then(|(camera, mask)| overlap_of(&surface, camera, &mask.0));
         let outcome = ViewOutcome {
             name: world.get::<ViewName>(view).map(|name| name.0.clone()).unwrap_or_default(),
             split: if split == Split::Train { "train" } else { "test" }.into(),
@@ -158,19 +158,21 @@ type Outcomes = HashMap<Entity, (f64, Option<f64>)>;
 
 /// Adds scored views that no fit has told of, in place of those that an earlier `Evaluate` has told
 /// of, and writes the report of all views.
-pub(super) fn write(session: &mut Session, folder: &Path, scored: &Outcomes) -> Result<()> {
+pub(super) fn write(object: &mut Object, folder: &Path, scored: &Outcomes) -> Result<()> {
+    let found = silhouettes(object, |view, _| scored.contains_key(&view));
+    let views = &mut object.scores().views;
     // Those of a fit say how many pixels it may visit.
-    session.scores.views.retain(|view| view.pixels.is_some());
+    views.retain(|view| view.pixels.is_some());
     let key = |view: &ViewOutcome| (view.name.clone(), view.split.clone());
-    let mut known: HashSet<(String, String)> = session.scores.views.iter().map(key).collect();
-    for (view, _, outcome) in silhouettes(session, |view, _| scored.contains_key(&view)) {
+    let mut known: HashSet<(String, String)> = views.iter().map(key).collect();
+    for (view, _, outcome) in found {
         let (psnr, outliers) = scored[&view];
         let outcome = ViewOutcome { psnr: Some(psnr), outliers, ..outcome };
         if known.insert(key(&outcome)) {
-            session.scores.views.push(outcome);
+            views.push(outcome);
         }
     }
-    write_bytes(&folder.join(VIEWS), csv(&session.scores.views).as_bytes())
+    write_bytes(&folder.join(VIEWS), csv(views).as_bytes())
 }
 
 fn csv(views: &[ViewOutcome]) -> String {

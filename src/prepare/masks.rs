@@ -1,7 +1,7 @@
 //! Masks of the photographs, from one of several sources, each checked before it is used.
 
 use crate::prepare::work::{Program, Work, make_folder_of, remove};
-use crate::{pass::progress::Progress, prepare::PrepareOptions, prepare::photographs::PhotographFile};
+use crate::{object::progress::Progress, prepare::PrepareOptions, prepare::photographs::PhotographFile};
 use image::{DynamicImage, GrayImage, metadata::Orientation};
 use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::image::{Gamma, image_header, read_image, read_mask};
@@ -241,7 +241,7 @@ fn by_command(
 mod tests {
     use super::*;
     use crate::prepare::tests::{disc, script};
-    use crate::{pass::progress::Silent, prepare::photographs::list, prepare::photographs::place};
+    use crate::{object::progress::Silent, prepare::photographs::list, prepare::photographs::place};
     use image::{Luma, Rgba, RgbaImage};
     use std::fs;
     use tempfile::TempDir;

@@ -5,7 +5,7 @@
 //! program does the same, a photograph that EXIF turns is copied with that entry reset; its pixels
 //! stay as they are.
 
-use crate::{pass::progress::Progress, prepare::work::make_folder_of};
+use crate::{object::progress::Progress, prepare::work::make_folder_of};
 use image::{ImageFormat, codecs::png::PngEncoder, metadata::Orientation};
 use lobelia_geometry::{Error, Result, error::stop::check_interrupted, parallel};
 use lobelia_io::codec::file::{read_bytes, read_folder};
@@ -234,7 +234,8 @@ fn unturned(path: &Path) -> Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pass::progress::{RecordedMessages, Silent};
+    use crate::object::progress::{RecordedMessages, Silent};
+    use std::sync::Arc;
     use image::{ImageEncoder, RgbImage, Rgba, RgbaImage, codecs::jpeg::JpegEncoder};
     use tempfile::TempDir;
 
@@ -288,7 +289,7 @@ mod tests {
         for other in ["a1.nef", "a2.NEF", "notes.txt"] {
             fs::write(folder.path().join(other), "x").unwrap();
         }
-        let told = RecordedMessages::new(&Silent);
+        let told = RecordedMessages::new(Arc::new(Silent));
         let photographs = list(folder.path(), &told).unwrap();
         assert_eq!(names(&photographs), ["a1.JPG", "a9.jpg", "a10.jpg"]);
         assert_eq!(photographs[0].size, [8, 6]);

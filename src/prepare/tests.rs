@@ -2,12 +2,12 @@
 //! tests of its parts.
 
 use super::*;
-use crate::pass::progress::{RecordedMessages, Silent};
+use crate::object::progress::{RecordedMessages, Silent};
 use crate::scene::{LoadOptions, load};
 use image::{Rgb, RgbImage};
 use lobelia_geometry::view::Split;
 use lobelia_io::dataset::{DatasetOptions, read_dataset};
-use std::{fs, io::Write as _, os::unix::fs::OpenOptionsExt as _, path::Path};
+use std::{fs, io::Write as _, os::unix::fs::OpenOptionsExt as _, path::Path, sync::Arc};
 use tempfile::TempDir;
 
 /// An executable shell script.
@@ -120,7 +120,7 @@ impl Capture {
         options.masks = MaskSource::Folder(self.path("masks"));
         (options.colmap, options.rembg) = (self.path("colmap"), self.path("rembg"));
         change(&mut options);
-        let notes = RecordedMessages::new(&Silent);
+        let notes = RecordedMessages::new(Arc::new(Silent));
         (prepare(&options, &notes), notes.take().join("\n"))
     }
 

@@ -1,6 +1,7 @@
 //! Scores of passes: computed view by view, and written to `metrics.json`.
 
 use crate::report::published::{Covered, OrbScores, SrgbScores, orb_scores, srgb_scores};
+use bevy_ecs::prelude::Resource;
 use glam::Vec3;
 use indexmap::IndexMap;
 use lobelia_geometry::view::metrics::{
@@ -216,7 +217,7 @@ pub struct ViewOutcome {
 }
 
 /// All scores of a run; `metrics.json`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Resource, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Scores {
     /// By pass name, in the order of scoring.
@@ -357,6 +358,11 @@ impl PassScores {
 }
 
 impl Scores {
+    /// Adds to the time of all fits.
+    pub(crate) fn add_fit_secs(&mut self, secs: f64) {
+        *self.fit_secs.get_or_insert(0.0) += secs;
+    }
+
     /// Writes `metrics.json` (indented, keys in a fixed order).
     ///
     /// # Errors

@@ -57,6 +57,11 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// The pass with a name.
+    pub fn pass_named(&self, name: Option<&str>) -> Option<&Pass> {
+        self.passes.iter().find(|pass| Some(pass.name()) == name)
+    }
+
     /// The mesh file that the material is read from, if it is not `material` that says it.
     pub fn own_material(&self) -> Option<&Path> {
         match &self.surface {

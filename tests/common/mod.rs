@@ -5,7 +5,7 @@ use glam::Mat4;
 use lobelia::codec::exr::{ExrLayers, read_exr_layers};
 use lobelia::codec::exr_frame::{write_channels, write_frame};
 use lobelia::codec::npy::{NpyConvention, write_lobes};
-use lobelia::pass::progress::{Bar, Progress, Silent};
+use lobelia::object::progress::{Bar, Progress, Silent};
 use lobelia::pass::{self, RunOptions};
 use lobelia::scene::{LoadOptions, load};
 use lobelia::{codec::gltf::export::write_glb, prelude::*};
@@ -350,7 +350,7 @@ impl Data {
         out: &str,
         checkpoint_every: Option<Duration>,
         resume: bool,
-        progress: &dyn Progress,
+        progress: Arc<dyn Progress>,
     ) -> Result<()> {
         let options = LoadOptions { data: Some(self.root.clone()), ..LoadOptions::default() };
         let loaded = load(&self.write("scene.ron", scene), &options)?;

@@ -3,16 +3,16 @@
 use super::start::{SceneArgs, ThreadArgs, load_options, start_threads};
 use super::terminal::print;
 use clap::Args;
+use lobelia::object::progress::{RecordedMessages, Silent};
 use lobelia::pass::memory::{usual_budget, within};
 use lobelia::pass::preflight::{check_outputs, check_sizes};
-use lobelia::pass::progress::{RecordedMessages, Silent};
 use lobelia::pass::{looks, rehearse};
 use lobelia::scene::{LoadOptions, LoadedScene, Pass, Scene, Surface, Views, load, unknown_parts};
 use lobelia::survey::estimate::{Estimate, estimate};
 use lobelia::survey::open::{OpenScene, survey};
 use lobelia::survey::{Finding, Severity, Survey, ViewLook, table};
 use lobelia::{Error, Result, codec::file::FileUse, codec::file::check_writable, view::ViewRecord};
-use std::{borrow::Cow, path::Path, path::PathBuf};
+use std::{borrow::Cow, path::Path, path::PathBuf, sync::Arc};
 
 /// The survey.
 const JSON: &str = "survey.json";
@@ -74,12 +74,12 @@ fn rehearsed(
     views: Vec<ViewRecord>,
     budget: Option<u64>,
 ) -> (Vec<String>, Option<Error>) {
-    let notes = RecordedMessages::new(&Silent);
+    let notes = Arc::new(RecordedMessages::new(Arc::new(Silent)));
     let keeps = looks.and_then(|looks| match looks {
-        Some(looks) => within(scene, &looks, budget, &notes).map(drop),
+        Some(looks) => within(scene, &looks, budget, &*notes).map(drop),
         None => Ok(()),
     });
-    let error = keeps.and_then(|()| rehearse(scene, views, &notes)).err();
+    let error = keeps.and_then(|()| rehearse(scene, views, notes.clone())).err();
     (notes.take(), error)
 }
 

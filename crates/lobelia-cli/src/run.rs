@@ -6,8 +6,8 @@ use clap::{ArgAction, Args};
 use lobelia::error::stop::is_stopping;
 use lobelia::scene::load;
 use lobelia::shade::device::ShadingDevice;
-use lobelia::{Result, pass, pass::RunOptions, pass::memory::usual_budget, pass::progress::Progress};
-use std::{path::Path, path::PathBuf, time::Instant};
+use lobelia::{Result, object::progress::Progress, pass, pass::RunOptions, pass::memory::usual_budget};
+use std::{path::Path, path::PathBuf, sync::Arc, time::Instant};
 
 /// Runs the passes of a scene file in their order.
 ///
@@ -80,16 +80,16 @@ const PROFILES: Choices<bool> = &[("table", false, "A table"), ("trace", true, "
 /// Runs the command.
 pub fn run(args: &RunArgs) -> Result<()> {
     if !args.log {
-        return carry_out(args, &Terminal { quiet: args.quiet });
+        return carry_out(args, Arc::new(Terminal { quiet: args.quiet }));
     }
-    let log = JsonLog { start: Instant::now() };
-    let ended = carry_out(args, &log);
+    let log = Arc::new(JsonLog { start: Instant::now() });
+    let ended = carry_out(args, log.clone());
     log.end(&ended);
     ended
 }
 
 /// Runs the scene, and reports to `shown`.
-fn carry_out(args: &RunArgs, shown: &dyn Progress) -> Result<()> {
+fn carry_out(args: &RunArgs, shown: Arc<dyn Progress>) -> Result<()> {
     let name = args.scene.scene.file_stem().unwrap_or_default();
     let out = args.out.clone().unwrap_or_else(|| Path::new("out").join(name));
     let loaded = load(&args.scene.scene, &load_options(&args.scene))?;

@@ -2,10 +2,11 @@
 //! programs.
 
 use indicatif::{ProgressBar, ProgressStyle};
-use lobelia::pass::progress::{Bar, Moment, Progress};
-use lobelia::{Error, Result};
+use lobelia::object::progress::{Bar, Progress, Step};
+use lobelia::{Error, Result, bevy_ecs::prelude::World};
 use serde::Serialize;
 use std::io::{ErrorKind, IsTerminal, Write};
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -191,18 +192,18 @@ impl Progress for JsonLog {
         Box::new(JsonBar { start: self.start, title: title.to_owned(), at: Mutex::new(at) })
     }
 
-    fn moment(&self, at: Moment) {
-        match at {
-            Moment::Pass { name, number, count } => {
-                write_event(self.start, Event::Pass { name, number, count });
-            }
-            Moment::Step { step, steps, fit } if step % STEPS == 0 || step == steps => {
-                let (loss, psnr, lobes) = (fit.sums.mean(), fit.sums.psnr(), fit.lobes);
-                let (specular, roughness) = (fit.specular.albedo.to_array(), fit.specular.roughness);
-                write_event(self.start, Event::Step { step, steps, loss, psnr, specular, roughness, lobes });
-            }
-            Moment::Step { .. } => {}
+    fn pass(&self, name: &str, number: usize, count: usize) {
+        write_event(self.start, Event::Pass { name, number, count });
+    }
+
+    fn step(&self, at: &Step, _: &mut World) -> Result<ControlFlow<()>> {
+        let Step { step, steps, fit, .. } = *at;
+        if step.is_multiple_of(STEPS) || step == steps {
+            let (loss, psnr, lobes) = (fit.sums.mean(), fit.sums.psnr(), fit.lobes);
+            let (specular, roughness) = (fit.specular.albedo.to_array(), fit.specular.roughness);
+            write_event(self.start, Event::Step { step, steps, loss, psnr, specular, roughness, lobes });
         }
+        Ok(ControlFlow::Continue(()))
     }
 }
 

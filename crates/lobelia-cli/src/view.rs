@@ -3,10 +3,10 @@
 use super::start::{ThreadArgs, refuse_foreign, start_threads};
 use super::terminal::Terminal;
 use clap::Args;
-use lobelia::pass::progress::Progress;
+use lobelia::object::progress::Progress;
 use lobelia::scene::{LightSource, LoadOptions, LoadedScene, ViewPass, Views, load};
 use lobelia::{Error, Result, glam::Vec3, pass::view::PAGE, pass::write_view};
-use std::path::{Path, PathBuf};
+use std::{path::Path, path::PathBuf, sync::Arc};
 
 /// Writes OUT/view.html: one page that shows the object that a run saved, and needs nothing else,
 /// no server and no network.
@@ -54,7 +54,7 @@ pub fn run(args: &ViewArgs) -> Result<()> {
     let loaded = load(&scene, &options).or_else(|error| without_data(&scene, &options, error, &terminal))?;
     let lights: Vec<(String, LightSource)> = args.lights.iter().map(|path| light(path)).collect();
     let pass = ViewPass { photographs: args.photographs, ..ViewPass::default() };
-    write_view(&loaded, &lights, &pass, &folder.join(PAGE), &terminal)
+    write_view(&loaded, &lights, &pass, &folder.join(PAGE), Arc::new(terminal))
 }
 
 /// The scene without its views, and a note, if it is only their data set that is no longer there.

@@ -22,26 +22,6 @@ use std::time::{Duration, Instant};
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Saved(pub Vec<(String, Vec<u8>)>);
 
-impl Saved {
-    /// Adds a value that is of no world.
-    ///
-    /// # Errors
-    /// If it has no serialized form.
-    pub fn add<T: Serialize>(&mut self, name: &str, value: &T) -> Result<()> {
-        self.0.push((name.to_owned(), to_bytes(value)?));
-        Ok(())
-    }
-
-    /// Takes such a value out again.
-    ///
-    /// # Errors
-    /// If it is not there, or is another.
-    pub fn take<T: DeserializeOwned>(&mut self, name: &str) -> Result<T> {
-        let at = self.0.iter().position(|(other, _)| other == name).ok_or_else(|| foreign(name))?;
-        from_bytes(&self.0.swap_remove(at).1)
-    }
-}
-
 /// The point of a run that a checkpoint resumes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResumePoint {
@@ -80,31 +60,35 @@ pub fn is_due(world: &World) -> bool {
     world.get_resource::<Checkpoints>().is_some_and(|kept| kept.since.elapsed() >= kept.every)
 }
 
-/// Whether checkpoints are kept: not once a run was stopped, for what it writes then is not what it
-/// would have found.
-pub fn are_kept(world: &World) -> bool {
-    stopped_by().is_none() && world.contains_resource::<Checkpoints>()
-}
-
-/// Keeps the beginning of a pass.
+/// Keeps the beginning of a pass, if checkpoints are kept.
 ///
 /// # Errors
 /// If it cannot be written.
-pub fn keep_pass(world: &mut World, pass: u32, saved: &Saved) -> Result<()> {
-    let Some(mut kept) = world.get_resource_mut::<Checkpoints>() else { return Ok(()) };
-    (kept.pass, kept.since, kept.ahead) = (pass, Instant::now(), None);
-    (kept.write)(ResumePoint::Pass(pass), saved)
+pub fn keep_pass(world: &mut World, pass: u32) -> Result<()> {
+    keep_at(world, ResumePoint::Pass(pass))
 }
 
-/// Keeps the beginning of another part of the pass at work.
+/// Keeps the beginning of another part of the pass at work, if checkpoints are kept.
 ///
 /// # Errors
 /// If it cannot be written.
-pub fn keep_part(world: &mut World, saved: &Saved) -> Result<()> {
-    let Some(mut kept) = world.get_resource_mut::<Checkpoints>() else { return Ok(()) };
+pub fn keep_part(world: &mut World) -> Result<()> {
+    let pass = world.get_resource::<Checkpoints>().map_or(0, |kept| kept.pass);
+    keep_at(world, ResumePoint::Part(pass))
+}
+
+/// None is kept once a run was stopped, for what it finds then is not what it would have found.
+fn keep_at(world: &mut World, point: ResumePoint) -> Result<()> {
+    if stopped_by().is_some() || !world.contains_resource::<Checkpoints>() {
+        return Ok(());
+    }
+    let saved = save(world, if matches!(point, ResumePoint::Pass(_)) { Span::Run } else { Span::Pass })?;
+    let mut kept = world.resource_mut::<Checkpoints>();
+    if let ResumePoint::Pass(pass) = point {
+        (kept.pass, kept.ahead) = (pass, None);
+    }
     kept.since = Instant::now();
-    let point = ResumePoint::Part(kept.pass);
-    (kept.write)(point, saved)
+    (kept.write)(point, &saved)
 }
 
 /// Whether a resumed run goes on from a part of the pass at work, so that what comes before it need
@@ -113,9 +97,13 @@ pub fn has_part_ahead(world: &World) -> bool {
     world.get_resource::<Checkpoints>().is_some_and(|kept| kept.ahead.is_some())
 }
 
-/// Takes the state of the part that a resumed run goes on from.
-pub fn take_part(world: &mut World) -> Option<Saved> {
-    world.get_resource_mut::<Checkpoints>()?.ahead.take()
+/// Loads the state of the part that a resumed run goes on from, once; returns whether there is one.
+///
+/// # Errors
+/// As [`load`].
+pub fn resume_part(world: &mut World) -> Result<bool> {
+    let part = world.get_resource_mut::<Checkpoints>().and_then(|mut kept| kept.ahead.take());
+    part.map_or(Ok(false), |part| load(world, &part).map(|()| true))
 }
 
 /// The time that state lasts.
@@ -144,10 +132,19 @@ struct Part {
 #[derive(Resource, Default)]
 struct Kept(Vec<Part>);
 
-fn keep(world: &mut World, part: Part) {
+/// Registers state that is neither a resource nor a component, or that more hangs on: `load` makes
+/// the world what it was when `save` returned these bytes. Parts are loaded in the order in which
+/// they were registered.
+pub fn keep_state(
+    world: &mut World,
+    name: &'static str,
+    span: Span,
+    save: impl Fn(&mut World) -> Result<Option<Vec<u8>>> + Send + Sync + 'static,
+    load: impl Fn(&mut World, &[u8]) -> Result<()> + Send + Sync + 'static,
+) {
     let kept = &mut world.get_resource_or_init::<Kept>().0;
-    kept.retain(|other| other.name != part.name);
-    kept.push(part);
+    kept.retain(|other| other.name != name);
+    kept.push(Part { name, span, save: Box::new(save), load: Box::new(load) });
 }
 
 /// Registers a resource.
@@ -157,7 +154,7 @@ pub fn keep_resource<R: Resource + Serialize + DeserializeOwned>(world: &mut Wor
         world.insert_resource(from_bytes::<R>(bytes)?);
         Ok(())
     };
-    keep(world, Part { name: type_name::<R>(), span, save: Box::new(save), load: Box::new(load) });
+    keep_state(world, type_name::<R>(), span, save, load);
 }
 
 /// A component that can be saved.
@@ -211,13 +208,15 @@ where
         rows.sort_by(|a, b| a.0.cmp(&b.0));
         rows
     };
+    // With those that have no value: a component may mark some.
     let save = move |world: &mut World| {
-        let values = rows(world).into_iter().map(|(.., key, value)| Some((key, value?)));
-        let values: Option<Vec<(K, T)>> = values.collect();
-        values.filter(|values| !values.is_empty()).map(|values| to_bytes(&values)).transpose()
+        let values: Vec<(K, Option<T>)> =
+            rows(world).into_iter().map(|(.., key, value)| (key, value)).collect();
+        let has_any = values.iter().any(|(_, value)| value.is_some());
+        has_any.then(|| to_bytes(&values)).transpose()
     };
     let load = move |world: &mut World, bytes: &[u8]| {
-        let saved: Vec<(K, T)> = from_bytes(bytes)?;
+        let saved: Vec<(K, Option<T>)> = from_bytes(bytes)?;
         let rows = rows(world);
         if !rows.iter().map(|(.., key, _)| key).eq(saved.iter().map(|(key, _)| key)) {
             let (found, kept) = (rows.len(), saved.len());
@@ -227,12 +226,12 @@ where
         // entities depend on it.
         let mut values = vec![None; rows.len()];
         for ((_, at, entity, ..), (_, value)) in rows.into_iter().zip(saved) {
-            values[at] = Some((entity, value));
+            values[at] = value.map(|value| (entity, value));
         }
         world.insert_batch(values.into_iter().flatten().collect::<Vec<_>>());
         Ok(())
     };
-    keep(world, Part { name, span, save: Box::new(save), load: Box::new(load) });
+    keep_state(world, name, span, save, load);
 }
 
 /// The state of this span and of longer ones.
@@ -265,12 +264,18 @@ pub fn load(world: &mut World, saved: &Saved) -> Result<()> {
 }
 
 /// A value as bytes, in postcard's format.
-fn to_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>> {
+///
+/// # Errors
+/// If it has no serialized form.
+pub fn to_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>> {
     postcard::to_allocvec(value).map_err(|error| Error::run("writing a checkpoint", error.to_string()))
 }
 
 /// The value that these are the bytes of.
-fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T> {
+///
+/// # Errors
+/// If they are those of another.
+pub fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T> {
     match postcard::take_from_bytes(bytes) {
         Ok((value, [])) => Ok(value),
         Ok(_) => Err(Error::run("reading a checkpoint", "there is more")),
@@ -401,27 +406,47 @@ mod tests {
     }
 
     #[test]
+    fn a_component_of_some_rows_marks_the_same_ones_again() {
+        let marked = |rows: &[u32]| {
+            let mut world = world(4);
+            keep_pool::<Row, Weight>(&mut world, Span::Run);
+            let mut all = world.query::<(Entity, &Row)>();
+            let found: Vec<Entity> =
+                all.iter(&world).filter(|(_, row)| rows.contains(&row.0)).map(|(row, _)| row).collect();
+            found.into_iter().for_each(|row| _ = world.entity_mut(row).insert(Weight(1.0)));
+            world
+        };
+        let saved = save(&mut marked(&[1, 3]), Span::Run).unwrap();
+        let mut second = marked(&[]);
+        load(&mut second, &saved).unwrap();
+        let mut marks = second.query_filtered::<&Row, With<Weight>>();
+        let mut rows: Vec<u32> = marks.iter(&second).map(|row| row.0).collect();
+        rows.sort_unstable();
+        assert_eq!(rows, [1, 3]);
+    }
+
+    #[test]
     fn a_part_is_ahead_until_it_is_taken_or_the_pass_is_done() {
-        let mut saved = Saved::default();
-        saved.add("level", &(3u32, "text")).unwrap();
         let written = Arc::new(Mutex::new(Vec::new()));
         let to = written.clone();
         let write = move |place: ResumePoint, saved: &Saved| {
             to.lock().unwrap().push((place, saved.0.len()));
             Ok(())
         };
-        let mut world = World::new();
-        keep_part(&mut world, &saved).unwrap();
-        assert!(!is_due(&world) && !has_part_ahead(&world) && take_part(&mut world).is_none());
-        world.insert_resource(Checkpoints::new(Box::new(write), Duration::ZERO, 2, Some(saved.clone())));
+        let mut first = world(4);
+        work(&mut first);
+        let saved = save(&mut first, Span::Pass).unwrap();
+        let mut world = world(4);
+        keep_part(&mut world).unwrap();
+        assert!(!is_due(&world) && !has_part_ahead(&world) && !resume_part(&mut world).unwrap());
+        world.insert_resource(Checkpoints::new(Box::new(write), Duration::ZERO, 2, Some(saved)));
         assert!(is_due(&world) && has_part_ahead(&world));
-        let mut part = take_part(&mut world).unwrap();
-        assert_eq!(part.take::<(u32, String)>("level").unwrap(), (3, "text".to_owned()));
-        assert!(part.take::<u8>("level").is_err() && !has_part_ahead(&world));
-        keep_part(&mut world, &saved).unwrap();
-        keep_pass(&mut world, 3, &Saved::default()).unwrap();
-        keep_part(&mut world, &saved).unwrap();
-        let expected = [(ResumePoint::Part(2), 1), (ResumePoint::Pass(3), 0), (ResumePoint::Part(3), 1)];
+        assert!(resume_part(&mut world).unwrap() && !has_part_ahead(&world));
+        assert_eq!(found(&mut world), found(&mut first));
+        keep_part(&mut world).unwrap();
+        keep_pass(&mut world, 3).unwrap();
+        keep_part(&mut world).unwrap();
+        let expected = [(ResumePoint::Part(2), 3), (ResumePoint::Pass(3), 2), (ResumePoint::Part(3), 3)];
         assert_eq!(*written.lock().unwrap(), expected);
     }
 }

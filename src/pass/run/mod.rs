@@ -5,43 +5,41 @@
 //! | --- | --- |
 //! | [`preflight`] | the files that a run reads and writes, and the checks before its first pass |
 //! | [`memory`] | the memory that it may take, and the machine |
-//! | `session` | what its passes share |
 //! | `record` | `OUT/run.json`, which says what belongs together |
 //! | `resume` | checkpoints in `OUT/.checkpoint`, from which a run goes on |
-//! | [`progress`] | what it says on the way |
 //! | [`summary`] | `OUT/report.html`, made of what is in the folder |
 
 pub mod memory;
 pub mod preflight;
-pub mod progress;
 pub(crate) mod record;
 pub(crate) mod resume;
-pub(crate) mod session;
 pub mod summary;
 #[cfg(test)]
 mod tests;
 
-use crate::pass::photograph::{camera_of, imagine};
+use crate::object::Object;
+use crate::object::photograph::{camera_of, imagine};
+use crate::object::progress::{Bar, Progress, RecordedMessages, Step};
 use crate::pass::{evaluate, export, fit, render, save, shape, view};
 use crate::scene::{
     CameraSpec, LightSource, Pass, Scene, Surface as SurfaceSpec, ViewPass, Views, unknown_parts,
 };
 use crate::survey::{Severity, Survey, open::OpenScene};
-use crate::{scene::load::LoadedScene, spawn::SurfaceUse, spawn::load_light};
+use crate::{report::scores::peak_rss_mib, scene::load::LoadedScene, spawn::SurfaceUse, spawn::load_light};
+use bevy_ecs::prelude::World;
 use lobelia_geometry::error::stop::{check_interrupted, finish_stopping, stopped_by};
 use lobelia_geometry::parallel;
 use lobelia_geometry::view::look::ViewLook;
 use lobelia_geometry::{error::Error, error::Result, view::ViewRecord};
 use lobelia_io::codec::file::{FolderLock, check_writable, clear_scratch};
 use lobelia_io::dataset::load_notes;
-use lobelia_solve::{fit::ObjectTurned, shade::device::ShadingDevice};
-use lobelia_world::checkpoint::Checkpoints;
+use lobelia_solve::{fit::ObjectTurned, fit::guard::StepGuard, shade::device::ShadingDevice};
+use lobelia_world::checkpoint::{Checkpoints, keep_pass};
 use preflight::Watched;
-use progress::{Moment, Progress, RecordedMessages};
 use record::{Claim, RunRecord, RunState};
 use resume::RunStart;
-use session::Session;
-use std::{borrow::Cow, path::Path, path::PathBuf, time::Duration};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::{borrow::Cow, ops::ControlFlow, path::Path, path::PathBuf, time::Duration};
 use summary::Reporter;
 use tracing::info_span;
 
@@ -69,6 +67,59 @@ pub struct RunOptions {
     pub live: bool,
 }
 
+/// The scores of a run, in its output folder.
+pub(crate) const METRICS: &str = "metrics.json";
+
+/// What a run does with what its object says, besides passing it on: it keeps the lines for its
+/// record, and shows steps.
+struct RunProgress {
+    told: RecordedMessages,
+    reporter: Mutex<Reporter>,
+    out: PathBuf,
+    debug_every: Option<u32>,
+}
+
+impl RunProgress {
+    fn new(to: Arc<dyn Progress>, options: &RunOptions) -> Self {
+        Self {
+            told: RecordedMessages::new(to),
+            reporter: Mutex::new(Reporter::new(options.live)),
+            out: options.out.clone(),
+            debug_every: options.debug_every,
+        }
+    }
+
+    fn reporter(&self) -> MutexGuard<'_, Reporter> {
+        self.reporter.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Progress for RunProgress {
+    fn note(&self, text: &str) {
+        self.told.note(text);
+    }
+
+    fn print(&self, text: &str) {
+        self.told.print(text);
+    }
+
+    fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
+        self.told.bar(title, length)
+    }
+
+    fn pass(&self, name: &str, number: usize, count: usize) {
+        self.told.pass(name, number, count);
+    }
+
+    fn step(&self, at: &Step, world: &mut World) -> Result<ControlFlow<()>> {
+        self.reporter().step(&self.out, at, world);
+        if self.debug_every.is_some_and(|every| at.fit.step.is_multiple_of(every)) {
+            shape::look(&self.out, at, world)?;
+        }
+        self.told.step(at, world)
+    }
+}
+
 /// Runs the passes of a scene in order, and reports to `progress`. What will be written is known
 /// before anything is read, and `OUT/run.json` says how far the run is.
 ///
@@ -78,9 +129,9 @@ pub struct RunOptions {
 /// [`Error::Usage`] if a file that would be written is an input, or is of something else than an
 /// earlier run, if another run writes into the output folder, or if a run is to go on with
 /// something else than it was begun with.
-pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
-    let told = RecordedMessages::new(progress);
-    let progress: &dyn Progress = &told;
+pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn Progress>) -> Result<()> {
+    let told = Arc::new(RunProgress::new(progress, options));
+    let progress: &dyn Progress = &*told;
     let RunOptions { out, resume, .. } = options;
 
     // The folder: may this run write there, and is there one to go on with?
@@ -116,31 +167,33 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     let scene = memory::within(&loaded.scene, &looks, options.memory, progress)?;
     let is_draft = matches!(scene.passes.first(), Some(Pass::Shape(_)));
     let use_of = if is_draft { SurfaceUse::UntilShape } else { SurfaceUse::Lasting };
-    let mut session = Session::open(&scene, views, options, progress, use_of, true)?;
+    let scene = scene.into_owned();
+    let listener: Arc<dyn Progress> = told.clone();
+    let mut object = Object::open(scene, views, options.device.clone(), listener, use_of, true)?;
+    preflight::check_passes(&mut object)?;
     if let Some(survey) = survey {
         let warnings = survey.findings_of(Severity::Warning);
-        session.scores.warnings = warnings.map(|warning| warning.problem.clone()).collect();
+        object.scores().warnings = warnings.map(|warning| warning.problem.clone()).collect();
         if survey.is_turntable() {
-            session.pipeline.world.insert_resource(ObjectTurned);
+            object.pipeline.world.insert_resource(ObjectTurned);
         }
     }
     check_interrupted()?;
     watched.check()?;
     // The files of views are read by now.
     let views = data.iter().flat_map(|data| &data.views);
-    session.watched =
+    let watched =
         watched.without(views.flat_map(|view| {
             view.pictures().map(|picture| picture.path).chain([view.plan.camera_file.clone()])
         }));
-    session.report = Reporter::new(options.live);
 
     // The beginning, or the last checkpoint.
-    let now = RunStart::new(&loaded.scene, session.scene, data, &inputs)?;
+    let now = RunStart::new(&loaded.scene, &object.scene(), data, &inputs)?;
     let every = options.checkpoint_every.unwrap_or(resume::USUAL_TIME);
     let done = match &begun {
         Some(begun) => {
             begun.check_data(&now, progress)?;
-            resume::take_up(&mut session, begun, true, every)?
+            resume::take_up(&mut object, out, begun, true, every)?
         }
         None => {
             if *resume {
@@ -154,17 +207,17 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     };
     let is_new = begun.is_none();
     let start = begun.unwrap_or(now);
-    let mut record = claim.begin(loaded, &options.arguments, start.clone(), told.take(), done)?;
+    let mut record = claim.begin(loaded, &options.arguments, start.clone(), told.told.take(), done)?;
     if is_new {
-        resume::take_up(&mut session, &start, false, every)?;
+        resume::take_up(&mut object, out, &start, false, every)?;
     }
 
     // The passes, and how the run ends. One that is not said to have finished needs its
     // checkpoints. The folder is its own until its report says how it ended.
-    let ended = run_passes(&mut session, &mut record, &told, done);
-    let finished = session.write_scores();
+    let ended = run_passes(&mut object, &watched, &mut record, &told, done);
+    let finished = write_scores(&mut object, out);
     if finished.is_ok() {
-        progress.print(&session.scores.table());
+        progress.print(&object.scores().table());
         progress.print(&format!("Results are in {}.", out.display()));
     }
     let ended = record.end(ended.and(finished));
@@ -175,36 +228,38 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
         }
         progress.print("The same command with --resume goes on from the last checkpoint.");
     }
-    ended.and(session.report.write(out)).and(cleared)
+    ended.and(told.reporter().write(out)).and(cleared)
 }
 
 /// Runs all passes after the first `done`, but those that need one that failed; scores and report
 /// are written after each. Once the run is asked to stop, only what was found until then is
 /// written: scored, saved and exported.
 fn run_passes(
-    session: &mut Session,
+    object: &mut Object,
+    watched: &Watched,
     record: &mut RunRecord,
-    told: &RecordedMessages,
+    told: &RunProgress,
     done: usize,
 ) -> Result<()> {
-    let passes = &session.scene.passes;
+    let (scene, out) = (object.scene(), &told.out);
+    let passes = &scene.passes;
     // Those that failed or need one that did, and those that were stopped before their end.
     let (mut failed, mut stopped): (Vec<&Pass>, Vec<&Pass>) = Default::default();
     let mut first: Option<Error> = None;
     if done > 0 {
-        session.write_scores()?;
+        write_scores(object, out)?;
     }
-    session.report.write(&session.out)?;
+    told.reporter().write(out)?;
     for (index, pass) in passes.iter().enumerate().skip(done) {
         let name = pass.name();
         if let Some(needed) = failed.iter().find(|failed| needs(pass, failed)) {
             told.note(&format!("pass {name} is left out: it needs {}", needed.name()));
             failed.push(pass);
-            record.pass(index, RunState::Skipped, told.take())?;
+            record.pass(index, RunState::Skipped, told.told.take())?;
             continue;
         }
         if stopped_by().is_some() {
-            if !(session.kept.has_object && writes_results(pass, &stopped)) {
+            if !(object.found().has_object && writes_results(pass, &stopped)) {
                 stopped.push(pass);
                 continue;
             }
@@ -212,9 +267,9 @@ fn run_passes(
             finish_stopping();
         }
         record.pass(index, RunState::Running, Vec::new())?;
-        told.moment(Moment::Pass { name, number: index + 1, count: passes.len() });
+        told.pass(name, index + 1, passes.len());
         let at_work = info_span!("pass", name = %format_args!("pass {name}")).entered();
-        let ended = run_pass(session, pass);
+        let ended = run_pass(object, out, watched, pass);
         drop(at_work);
         finish_stopping();
         let state = RunState::of(&ended);
@@ -233,17 +288,17 @@ fn run_passes(
         // On a full disk this fails as well, and ends the run.
         let _after = info_span!("scores, report, checkpoint").entered();
         let recorded = record
-            .pass(index, state, told.take())
-            .and_then(|()| session.write_scores())
-            .and_then(|()| session.report.write(&session.out));
+            .pass(index, state, told.told.take())
+            .and_then(|()| write_scores(object, out))
+            .and_then(|()| told.reporter().write(out));
         if recorded.is_err() {
             return first.map_or(recorded, Err);
         }
         if failed.is_empty() {
-            resume::keep(session, Some(index + 1))?;
+            keep_pass(&mut object.pipeline.world, index as u32 + 1)?;
         } else {
             // A run that goes on repeats all from the first failure.
-            session.pipeline.world.remove_resource::<Checkpoints>();
+            object.pipeline.world.remove_resource::<Checkpoints>();
         }
     }
     first.or(stopped_by().map(|_| Error::Interrupted)).map_or(Ok(()), Err)
@@ -267,21 +322,29 @@ fn needs(pass: &Pass, failed: &Pass) -> bool {
     matches!(failed, Pass::Fit(_) | Pass::Shape(_)) || scores(pass, failed)
 }
 
-fn run_pass(session: &mut Session, pass: &Pass) -> Result<()> {
+fn run_pass(object: &mut Object, out: &Path, watched: &Watched, pass: &Pass) -> Result<()> {
     match pass {
-        Pass::Fit(pass) => fit::run(session, pass),
-        Pass::Shape(pass) => shape::run(session, pass),
-        Pass::Render(of) | Pass::Edit(of) | Pass::Relight(of) => render::run(session, pass, &of.render),
+        Pass::Fit(pass) => fit::run(object, out, pass),
+        Pass::Shape(pass) => shape::run(object, out, pass),
+        Pass::Render(of) | Pass::Edit(of) | Pass::Relight(of) => render::run(object, out, pass, &of.render),
         Pass::Evaluate(pass) => {
             // A truth that has changed is told of, instead of scores that are half of one and half
             // of the other.
-            session.watched.check()?;
-            evaluate::run(session, pass)
+            watched.check()?;
+            evaluate::run(object, out, pass)
         }
-        Pass::Save(pass) => save::run(session, pass),
-        Pass::Export(pass) => export::run(session, pass),
-        Pass::View(pass) => view::run(session, pass),
+        Pass::Save(pass) => save::run(object, out, pass),
+        Pass::Export(pass) => export::run(object, out, pass),
+        Pass::View(pass) => view::run(object, out, pass),
     }
+}
+
+fn write_scores(object: &mut Object, out: &Path) -> Result<()> {
+    let guard = object.pipeline.world.get_resource::<StepGuard>();
+    let taken_back = guard.map_or(0, |guard| guard.taken_back);
+    let mut scores = object.scores();
+    (scores.steps_taken_back, scores.peak_rss_mib) = (taken_back, peak_rss_mib());
+    scores.write_json(out.join(METRICS))
 }
 
 /// Writes the page of a scene in which everything is known, as `Save` writes it, to `path`; no pass
@@ -297,7 +360,7 @@ pub fn write_view(
     lights: &[(String, LightSource)],
     pass: &ViewPass,
     path: &Path,
-    progress: &dyn Progress,
+    progress: Arc<dyn Progress>,
 ) -> Result<()> {
     if let Some(part) = unknown_parts(&loaded.scene).first() {
         let problem = format!("the {part} of {} is unknown", loaded.path.display());
@@ -310,7 +373,7 @@ pub fn write_view(
         light.notes.iter().for_each(|note| progress.note(note));
         named.push((name.clone(), light.lobes));
     }
-    let views = OpenScene::new(&scene).and_then(|data| Ok(read_views(&scene, data.as_ref(), progress)?.0));
+    let views = OpenScene::new(&scene).and_then(|data| Ok(read_views(&scene, data.as_ref(), &*progress)?.0));
     let views = match views {
         Ok(views) => views,
         Err(error) => {
@@ -320,9 +383,8 @@ pub fn write_view(
         }
     };
     let out = path.parent().unwrap_or(Path::new("")).to_owned();
-    let options = RunOptions { out, force: true, ..RunOptions::default() };
-    let mut session = Session::open(&scene, views, &options, progress, SurfaceUse::Lasting, false)?;
-    view::write_page(&mut session, pass, named, path)
+    let mut object = Object::open(scene, views, None, progress, SurfaceUse::Lasting, false)?;
+    view::write_page(&mut object, &out, pass, named, path)
 }
 
 /// Does the work of [`run`] before the first pass of a scene, without any photograph: the files
@@ -332,11 +394,12 @@ pub fn write_view(
 ///
 /// # Errors
 /// Errors of [`run`] before its first pass.
-pub fn rehearse(scene: &Scene, mut views: Vec<ViewRecord>, progress: &dyn Progress) -> Result<()> {
+pub fn rehearse(scene: &Scene, mut views: Vec<ViewRecord>, progress: Arc<dyn Progress>) -> Result<()> {
     if let Views::Cameras(specs) = &scene.views {
         views = bare_views(specs)?;
     }
-    Session::open(scene, views, &RunOptions::default(), progress, SurfaceUse::Checks, false).map(drop)
+    let mut object = Object::open(scene.clone(), views, None, progress, SurfaceUse::Checks, false)?;
+    preflight::check_passes(&mut object)
 }
 
 /// Reads the views that do not depend on the object; rendered photographs come later. Those of a

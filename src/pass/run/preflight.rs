@@ -2,10 +2,10 @@
 //! or a missing ground truth is an error at the start, not after a long fit. `lobelia check` makes
 //! the same checks.
 
+use crate::object::{Object, photograph::ring, show::apply_edits, show::edits_of_nothing};
 use crate::pass::{
     evaluate::PARTS, evaluate::read_fitting, export, fit::TRUE_ENVIRONMENT, fit::light_files,
-    photograph::ring, render::FILM_FILES, render::chosen_stems, render::chosen_views,
-    run::record::PassRecord, run::session::Session, show::apply_edits, show::edits_of_nothing, view::PAGE,
+    render::FILM_FILES, render::chosen_stems, render::chosen_views, run::record::PassRecord, view::PAGE,
     view_report::VIEWS,
 };
 use crate::scene::{
@@ -17,8 +17,8 @@ use crate::survey::open::OpenScene;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use lobelia_geometry::parallel;
-use lobelia_geometry::view::{Frame, Photograph, Split, ViewName, ViewRecord};
-use lobelia_geometry::{error::Error, error::Result, mesh::Surface};
+use lobelia_geometry::view::{Frame, Photograph, Split, ViewName};
+use lobelia_geometry::{error::Error, error::Result};
 use lobelia_io::codec::file::{FileUse, check_apart, check_not_among};
 use lobelia_io::codec::gltf::import::read_mesh;
 use lobelia_io::codec::{exr_frame::Layer, gltf::side_files, image::Gamma, nearby::closest};
@@ -228,64 +228,32 @@ pub fn check_sizes(scene: &Scene) -> Result<()> {
     check_memory(&format!("rendering {photographs} photographs"), ring.size, ring.size, bytes)
 }
 
-/// Checks that each placement has a training photograph, where something is fitted to them; that
-/// the cameras can be used, and that none is inside a closed object, where it sees only back faces.
-pub(super) fn check_cameras(scene: &Scene, views: &[ViewRecord], surface: &Surface) -> Result<()> {
-    let names: Vec<String> = match &scene.views {
-        Views::Dataset(data) => data.placements.iter().map(|of| format!("`{}`", of.photographs)).collect(),
-        Views::Photographed(spec) => (1..=spec.truth.rounds()).map(|round| round.to_string()).collect(),
-        Views::Cameras(_) => Vec::new(),
-    };
-    let fits = scene.passes.iter().any(|pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_)));
-    let train = || views.iter().filter(|view| view.split == Split::Train);
-    let is_seen = |number: &usize| train().any(|view| view.placement.0 as usize == *number);
-    if let Some(unseen) = (0..names.len()).find(|number| fits && !is_seen(number)) {
-        return Err(Error::usage(
-            format!("no training photograph shows the placement {}", names[unseen]),
-            "A photograph belongs to the first entry of `placements` that it suits: say the longer name first, or leave the entry out.",
-        ));
-    }
-    for view in views {
-        view.camera.check().map_err(|problem| {
-            let help = "Correct the camera, its field of view or `focal_scale`.";
-            Error::usage(format!("the camera of view {} cannot be used: {problem}", view.name), help)
-        })?;
-    }
-    let Some(view) = views.iter().find(|view| surface.is_inside(view.camera.position())) else {
-        return Ok(());
-    };
-    let Vec3 { x, y, z } = view.camera.position();
-    Err(Error::usage(
-        format!("the camera of view {} is inside the object, at ({x:.3}, {y:.3}, {z:.3})", view.name),
-        "Check that the cameras and the object have the same coordinate system and unit, or leave out that view.",
-    ))
-}
-
 /// Checks every pass against the world before any of them runs.
 ///
 /// # Errors
 /// [`Error::Usage`] or [`Error::Input`] for a view that does not exist, a pass without views, an
 /// image of an edit that cannot be read, or a missing ground truth.
-pub(super) fn check_passes(session: &mut Session) -> Result<()> {
-    let mut unedited = recovered_material(&mut session.pipeline.world)?;
-    if matches!(session.scene.material.gloss, Gloss::Texels { .. }) {
+pub(super) fn check_passes(object: &mut Object) -> Result<()> {
+    let (scene, surface) = (object.scene(), object.surface());
+    let mut unedited = recovered_material(&mut object.pipeline.world)?;
+    if matches!(scene.material.gloss, Gloss::Texels { .. }) {
         // Any texel may get any of the base materials.
         unedited.blends.fill(SpecularBlend::even(unedited.lobes.len()));
     }
-    for pass in &session.scene.passes {
+    for pass in &scene.passes {
         let name = pass.name();
         if let Some(settings) = pass.render() {
-            check_views(&mut session.pipeline.world, name, settings)?;
+            check_views(&mut object.pipeline.world, name, settings)?;
         }
         if !pass.edits().is_empty() {
-            apply_edits(&mut unedited.clone(), pass.edits(), &session.surface)?;
-            for number in edits_of_nothing(pass.edits(), &session.surface)? {
+            apply_edits(&mut unedited.clone(), pass.edits(), &surface)?;
+            for number in edits_of_nothing(pass.edits(), &surface)? {
                 let which = format!("pass {name}: edit {}", number + 1);
-                session.progress.note(&format!("{which} changes nothing: its region contains no texel"));
+                object.progress().note(&format!("{which} changes nothing: its region contains no texel"));
             }
         }
         if let Pass::Evaluate(pass) = pass {
-            check_truths(session, pass)?;
+            check_truths(&mut object.pipeline.world, &scene, pass)?;
         }
     }
     Ok(())
@@ -314,15 +282,15 @@ fn check_views(world: &mut World, pass: &str, settings: &RenderSettings) -> Resu
 }
 
 /// Checks that every scored view has its ground truth, and the surface, too.
-fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
+fn check_truths(world: &mut World, scene: &Scene, pass: &EvaluatePass) -> Result<()> {
     if let Some(path) = &pass.mesh {
         read_mesh(path)?;
     }
     for (i, score) in pass.scores.iter().enumerate() {
-        let settings = session.scene.passes.iter().find(|p| p.name() == score.pass).and_then(Pass::render);
+        let settings = scene.pass_named(Some(&score.pass)).and_then(Pass::render);
         let Some(settings) = settings else { continue };
-        let views = chosen_views(&mut session.pipeline.world, settings);
-        let world = &session.pipeline.world;
+        let views = chosen_views(world, settings);
+        let world = &*world;
         let checked = parallel::map_slice(&views, 1, |view| match &score.truth {
             Truth::Photographs if world.get::<Photograph>(view.entity).is_none() => Err(Error::usage(
                 format!("pass {} is scored against photographs, but view {} has none", score.pass, view.stem),

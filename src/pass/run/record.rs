@@ -2,7 +2,7 @@
 //! `--force` tells its own files from others.
 
 use crate::pass::run::preflight::{RUN, check_outputs, inputs, outputs};
-use crate::pass::run::{RunOptions, memory::Machine, resume, resume::RunStart, session::METRICS};
+use crate::pass::run::{METRICS, RunOptions, memory::Machine, resume, resume::RunStart};
 use crate::report::{html::REPORT, scores::peak_rss_mib};
 use crate::{scene::load::LoadedScene, survey::open::OpenScene};
 use lobelia_geometry::error::{Error, Result};

@@ -1,31 +1,24 @@
-//! The checkpoints of a run as files, and the state of a session beside its world.
+//! The checkpoints of a run as files.
 //!
 //! The manifest says with what the run was begun. `OUT/.checkpoint` has `pass.state` for the
 //! beginning of the pass at work, unless that is the first, and `part.state` for the last part of
 //! it that was done. A file counts if it is whole and of this run.
 
-use crate::pass::run::session::{PassState, Session};
-use crate::spawn::{insert_known_along, several_materials};
-use crate::{pass::run::progress::Progress, report::scores::Scores, scene::Scene, survey::open::OpenScene};
-use glam::Vec3;
+use crate::object::{Object, progress::Progress};
+use crate::{scene::Scene, survey::open::OpenScene};
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
-use lobelia_geometry::mesh::{Surface, triangles::Mesh};
 use lobelia_geometry::parallel;
 use lobelia_io::codec::file::{clear_scratch, is_there, read_bytes, read_parts, write_file};
-use lobelia_solve::shape::run::replace_texels;
-use lobelia_world::checkpoint::{Checkpoints, ResumePoint, Saved, Span, keep_part, keep_pass, take_part};
-use lobelia_world::{checkpoint, material::replace_materials, sample::point::Scenery};
+use lobelia_world::checkpoint::{Checkpoints, ResumePoint, Saved, load};
 use serde::{Deserialize, Serialize};
 use std::io::Write as _;
-use std::{collections::BTreeMap, fmt::Debug, fs, path::Path, path::PathBuf, sync::Arc, time::Duration};
+use std::{collections::BTreeMap, fmt::Debug, fs, path::Path, path::PathBuf, time::Duration};
 
 /// The folder of checkpoints, in the output folder.
 pub(super) const FOLDER: &str = ".checkpoint";
 /// The checkpoint of the beginning of a pass, and that of a part of it.
 const PASS: &str = "pass.state";
 const PART: &str = "part.state";
-/// The name of the session's own state in a checkpoint.
-const SESSION: &str = "session";
 /// Time between two checkpoints where nothing is said.
 pub(super) const USUAL_TIME: Duration = Duration::from_secs(60);
 
@@ -214,29 +207,34 @@ fn find(folder: &Path, run: u64, progress: &dyn Progress) -> Result<(u32, Option
     Ok((done, state, part.filter(|(pass, _)| *pass == done).map(|(_, part)| part)))
 }
 
-/// Has the session's run keep checkpoints; one that is `resumed` takes up where it was. Returns how
+/// Has the object's run keep checkpoints; one that is `resumed` takes up where it was. Returns how
 /// many passes are done.
 ///
 /// # Errors
 /// [`Error::Input`] if no checkpoint can be used; [`Error::Run`] if the state is of another world.
-pub(super) fn take_up(session: &mut Session, of: &RunStart, resumed: bool, every: Duration) -> Result<usize> {
-    let (run, folder) = (hash_of(of), session.out.join(FOLDER));
-    let (pass, state, part) = if resumed { find(&folder, run, session.progress)? } else { (0, None, None) };
+pub(super) fn take_up(
+    object: &mut Object,
+    out: &Path,
+    of: &RunStart,
+    resumed: bool,
+    every: Duration,
+) -> Result<usize> {
+    let (run, folder, progress) = (hash_of(of), out.join(FOLDER), object.progress());
+    let (pass, state, part) = if resumed { find(&folder, run, &*progress)? } else { (0, None, None) };
     if resumed {
-        let words = match session.scene.passes.get(pass as usize) {
+        let words = match object.scene().passes.get(pass as usize) {
             None => "all passes are done".to_owned(),
             Some(next) if part.is_some() => format!("the run goes on in pass {}", next.name()),
             Some(_) if pass == 0 => "there is no checkpoint yet: the run begins again".to_owned(),
             Some(next) => format!("the run goes on with pass {}", next.name()),
         };
-        session.progress.note(&words);
+        progress.note(&words);
     }
     fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
     let write = move |place: ResumePoint, saved: &Saved| write(&folder, run, place, saved);
-    session.pipeline.world.insert_resource(Checkpoints::new(Box::new(write), every, pass, part));
-    if let Some(state) = state {
-        restore(session, state)?;
-    }
+    let world = &mut object.pipeline.world;
+    world.insert_resource(Checkpoints::new(Box::new(write), every, pass, part));
+    state.map_or(Ok(()), |state| load(world, &state))?;
     Ok(pass as usize)
 }
 
@@ -268,69 +266,10 @@ pub(super) fn check_no_link(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The state of a session beside its world.
-#[derive(Serialize, Deserialize)]
-struct SessionState {
-    kept: PassState,
-    /// In RON, which has numbers that are not finite.
-    scores: String,
-    /// The surface that was found, if one was, and the width of its texture.
-    surface: Option<(Mesh, u32)>,
-}
-
-/// Keeps the state of the session after so many passes, or without a number at the beginning of
-/// another part of the pass at work.
-pub(crate) fn keep(session: &mut Session, done: Option<usize>) -> Result<()> {
-    let world = &mut session.pipeline.world;
-    if !checkpoint::are_kept(world) {
-        return Ok(());
-    }
-    let mut saved = checkpoint::save(world, if done.is_some() { Span::Run } else { Span::Pass })?;
-    let unwritten = |error: ron::Error| Error::run("writing a checkpoint", error.to_string());
-    let surface = &session.surface;
-    let state = SessionState {
-        kept: session.kept.clone(),
-        scores: ron::to_string(&session.scores).map_err(unwritten)?,
-        surface: session.surface_found.then(|| (surface.mesh().clone(), surface.atlas().width)),
-    };
-    saved.add(SESSION, &state)?;
-    match done {
-        Some(done) => keep_pass(world, done as u32, &saved),
-        None => keep_part(world, &saved),
-    }
-}
-
-/// Takes up the session at the part of the pass at work that a resumed run goes on from; returns
-/// whether there is one.
-pub(crate) fn resume_part(session: &mut Session) -> Result<bool> {
-    let part = take_part(&mut session.pipeline.world);
-    part.map_or(Ok(false), |part| restore(session, part).map(|()| true))
-}
-
-fn restore(session: &mut Session, mut saved: Saved) -> Result<()> {
-    let SessionState { kept, scores, surface } = saved.take(SESSION)?;
-    let unread = |error: ron::error::SpannedError| Error::run("reading a checkpoint", error.to_string());
-    session.scores = ron::from_str::<Scores>(&scores).map_err(unread)?;
-    let world = &mut session.pipeline.world;
-    if let Some((mesh, width)) = surface {
-        let surface = Arc::new(Surface::new(mesh, width)?);
-        world.insert_resource(Scenery(surface.clone()));
-        insert_known_along(world, &session.scene.material.sheen, &surface)?;
-        replace_texels(world, &vec![Vec3::ZERO; surface.atlas().position.len()]);
-        (session.surface, session.surface_found) = (surface, true);
-    }
-    session.kept = kept;
-    if session.kept.several {
-        let (lobes, blend) = several_materials();
-        replace_materials(world, &lobes, blend)?;
-    }
-    checkpoint::load(world, &saved)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pass::run::progress::Silent;
+    use crate::object::progress::Silent;
 
     const RUN: u64 = 7;
 
@@ -340,7 +279,7 @@ mod tests {
 
     /// A checkpoint that says where it is of.
     fn saved(text: &str) -> Saved {
-        Saved(vec![(SESSION.into(), vec![0, 255, b'\n']), ("place".into(), text.into())])
+        Saved(vec![("first".into(), vec![0, 255, b'\n']), ("place".into(), text.into())])
     }
 
     /// Checkpoints of a run that was killed in a later part of its third pass.

@@ -2,9 +2,11 @@
 //! made of the run's files alone, so that the report of a run that goes on, of one that ended, and
 //! of several side by side are made in the same way.
 
-use crate::pass::fit::{TRUE_ENVIRONMENT, light_files, steps::COLUMNS, steps::LOG_EVERY, steps::log_line};
+use crate::object::fit::{COLUMNS, LOG_EVERY, log_line};
+use crate::object::progress::Step;
+use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
 use crate::pass::run::record::{PassRecord, Record, RunState};
-use crate::pass::{evaluate::PARTS, run::session::METRICS, view::embedded, view_report::csv_entry};
+use crate::pass::{evaluate::PARTS, run::METRICS, view::embedded, view_report::csv_entry};
 use crate::report::html::{
     FitFinding, FitLog, PassReport, PassViews, REPORT, ReportPicture, RunReport, ViewReport, html,
 };
@@ -18,7 +20,7 @@ use lobelia_io::codec::file::{MOST_TEXT, is_there, read_text, read_up_to, write_
 use lobelia_io::codec::image::decode;
 use lobelia_io::codec::tone::{MAT, jpeg_address, thumbnail_jpeg};
 use lobelia_sg::color::srgb_from_linear;
-use lobelia_solve::fit::{loss::sums_of_step, run::FitProgress};
+use lobelia_solve::fit::loss::sums_of_step;
 use lobelia_world::material::SpecularLobe;
 use std::collections::{BTreeMap, BTreeSet};
 use std::{path::Path, path::PathBuf, time::Duration, time::Instant};
@@ -73,16 +75,16 @@ impl Reporter {
 
     /// Takes in a step of a fit or shape, and now and then writes a page with its curves and worst
     /// views, if the run is watched.
-    pub fn step(&mut self, out: &Path, pass: &str, step: u32, at: &FitProgress, world: &mut World) {
+    pub fn step(&mut self, out: &Path, at: &Step, world: &mut World) {
         let Some(Live { pass: of, log, written }) = &mut self.live else { return };
-        if of != pass {
-            (*of, *log) = (pass.to_owned(), COLUMNS.to_owned());
+        if of != at.pass {
+            (*of, *log) = (at.pass.to_owned(), COLUMNS.to_owned());
         }
-        if step.is_multiple_of(LOG_EVERY) {
-            log_line(log, step, at);
+        if at.step.is_multiple_of(LOG_EVERY) {
+            log_line(log, at.step, at.fit);
         }
         if written.elapsed() >= RELOAD {
-            let log = parse_log(pass, log);
+            let log = parse_log(at.pass, log);
             // A page that cannot be written is no reason to lose the run; the pass writes it again
             // at its end.
             let _ = self.write_with(out, |run| {

@@ -1,11 +1,12 @@
 //! Whole runs on a disk that fails: one error, what was written is whole, and the run goes on from
 //! there.
 
-use crate::pass::{RunOptions, run, run::progress::Silent, run::record::Record, run::record::RunState};
+use crate::object::progress::Silent;
+use crate::pass::{RunOptions, run, run::record::Record, run::record::RunState};
 use crate::scene::{LoadOptions, LoadedScene, load};
 use lobelia_geometry::error::Error;
 use lobelia_io::codec::file::faults::{Call, Faulty, FileFault};
-use std::{collections::BTreeMap, path::Path, time::Duration};
+use std::{collections::BTreeMap, path::Path, sync::Arc, time::Duration};
 
 const SCENE: &str = r#"Scene(
     version: 1,
@@ -63,7 +64,7 @@ fn unfinished_files(folder: &Path) -> usize {
 fn a_run_on_a_disk_that_fails_anywhere_goes_on_when_there_is_room() {
     let folder = tempfile::tempdir().unwrap();
     let (loaded, whole) = (scene(folder.path()), folder.path().join("whole"));
-    run(&loaded, &options(&whole, false), &Silent).unwrap();
+    run(&loaded, &options(&whole, false), Arc::new(Silent)).unwrap();
     let whole = results(&whole);
     let syncs = [0, 1, 2, 4, 7, 11, 16, 22, 30].map(|after| (Call::Sync, after));
     let writes = [0, 3, 10, 20, 30, 40].map(|after| (Call::Write, after));
@@ -73,14 +74,14 @@ fn a_run_on_a_disk_that_fails_anywhere_goes_on_when_there_is_room() {
         // EIO, ENOSPC, EPIPE in turn.
         let errno = [5, 28, 32][i % 3];
         let faulty = Faulty::new(&out, call, FileFault::Errno { errno, after });
-        let ended = run(&loaded, &options(&out, false), &Silent);
+        let ended = run(&loaded, &options(&out, false), Arc::new(Silent));
         drop(faulty);
         if let Err(error) = ended {
             failures += 1;
             assert!(matches!(error, Error::Io { .. }), "{error:?}");
             assert!(!out.exists() || unfinished_files(&out) == 0, "after {after}");
             assert_ne!(Record::read(&out).map(|record| record.state), Some(RunState::Finished));
-            run(&loaded, &options(&out, true), &Silent)
+            run(&loaded, &options(&out, true), Arc::new(Silent))
                 .unwrap_or_else(|error| panic!("{call:?} after {after}: {error}"));
         }
         let found = results(&out);
@@ -95,10 +96,10 @@ fn a_run_on_a_disk_that_fails_anywhere_goes_on_when_there_is_room() {
 fn a_run_of_few_bytes_at_a_time_is_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let (loaded, whole) = (scene(folder.path()), folder.path().join("whole"));
-    run(&loaded, &options(&whole, false), &Silent).unwrap();
+    run(&loaded, &options(&whole, false), Arc::new(Silent)).unwrap();
     let slow = folder.path().join("slow");
     let _read = Faulty::new(&slow, Call::Read, FileFault::Short(7));
     let _write = Faulty::new(&slow, Call::Write, FileFault::Short(1000));
-    run(&loaded, &options(&slow, false), &Silent).unwrap();
+    run(&loaded, &options(&slow, false), Arc::new(Silent)).unwrap();
     assert!(results(&whole) == results(&slow));
 }

@@ -213,6 +213,20 @@ pub fn spawn_light(
     light
 }
 
+/// The lobes of the light with a name, and its map, if it has one.
+pub fn named_light(world: &mut World, name: &str) -> Option<(Vec<LightLobe>, Option<Arc<MapLight>>)> {
+    let mut lights = world.query::<(&LightName, &LobesOf, Option<&LightMap>)>();
+    let (_, lobes, map) = lights.iter(world).find(|(of, ..)| of.0 == name)?;
+    let lobes = lobes.0.iter().filter_map(|lobe| world.get::<LightLobe>(*lobe).copied()).collect();
+    Some((lobes, map.map(|map| map.0.clone())))
+}
+
+/// The map of the scene's own light, if it has one.
+pub fn own_map(world: &mut World) -> Option<Arc<MapLight>> {
+    let mut own = world.query_filtered::<&LightMap, (Without<LightName>, Without<LightGroup>)>();
+    own.iter(world).next().map(|map| map.0.clone())
+}
+
 /// The lobes of the scene's own light.
 pub fn own_lobes(world: &mut World) -> Vec<LightLobe> {
     let mut own = world.query_filtered::<&LightLobe, (Without<LobeOf>, Without<FillingLobe>)>();

@@ -18,7 +18,7 @@ use crate::shape::systems::{
 };
 use crate::shape::unseen::{SPANNED_CELLS, span_unseen};
 use crate::{fit::exposure::Exposures, fit::light_turns, shape::pictures::TrainingView};
-use bevy_ecs::prelude::{IntoScheduleConfigs, With, World};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Resource, With, World};
 use glam::Vec3;
 use lobelia_geometry::error::stop::{check_interrupted, is_stopping};
 use lobelia_geometry::mesh::triangles::Mesh;
@@ -28,17 +28,20 @@ use lobelia_geometry::sdf::volume::{SdfSurface, TexelVolume};
 use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, Split, ViewIndex, ViewMask, ViewName};
 use lobelia_geometry::{Error, Result};
 use lobelia_sg::statistics::median;
-use lobelia_world::checkpoint::{Span, has_part_ahead, keep_part, take_part};
+use lobelia_world::checkpoint::{
+    Span, from_bytes, has_part_ahead, keep_part, keep_resource, keep_state, resume_part, to_bytes,
+};
 use lobelia_world::light::placement::PlacedFrame;
 use lobelia_world::material::{
     DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, USUAL_ALBEDO,
     recovered_albedo, recovered_materials,
 };
 use lobelia_world::material::{sheen::KnownAlong, spawn_texels};
+use lobelia_world::pipeline::pool::despawn_rows;
 use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot};
 use lobelia_world::sample::point::Scenery;
-use lobelia_world::{checkpoint, pipeline::pool::despawn_rows};
 use rand::{SeedableRng, rngs::SmallRng, seq::SliceRandom};
+use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use tracing::info_span;
@@ -219,7 +222,7 @@ fn fit_levels(
         if index > begun {
             let (next, opened) = next_surface(world, surface, silhouettes, options, index)?;
             (surface, report.opened_again) = (next, report.opened_again + opened);
-            keep_level(world, index, &surface, None)?;
+            surface = keep_level(world, index, surface, None)?;
         }
         let schedule = options.levels[index].schedule;
         let (volume, empty) = (surface.volume.clone(), surface.empty.clone());
@@ -245,23 +248,32 @@ fn fit_levels(
     }
     if begun < levels {
         let error = pipeline.world.get_resource::<ModelError>().map(ModelError::rows);
-        keep_level(&mut pipeline.world, levels, &surface, error)?;
+        surface = keep_level(&mut pipeline.world, levels, surface, error)?;
     }
     Ok(surface)
 }
 
-/// The name of a level in a checkpoint: its number, what it starts from, and after the last one the
-/// [`ModelError`].
-const LEVEL: &str = "level";
+/// What a level starts from, while a checkpoint is kept or taken up.
+#[derive(Resource, Serialize, Deserialize)]
+struct LevelStart {
+    /// The level; after the last one, their number.
+    index: u32,
+    surface: SdfSurface,
+    /// The [`ModelError`] after the last one.
+    error: Option<ErrorRows>,
+}
 
 /// Keeps what level `index` starts from.
-fn keep_level(world: &mut World, index: usize, surface: &SdfSurface, error: Option<ErrorRows>) -> Result<()> {
-    if !checkpoint::are_kept(world) {
-        return Ok(());
-    }
-    let mut saved = checkpoint::save(world, Span::Pass)?;
-    saved.add(LEVEL, &(index as u32, surface, error))?;
-    keep_part(world, &saved)
+fn keep_level(
+    world: &mut World,
+    index: usize,
+    surface: SdfSurface,
+    error: Option<ErrorRows>,
+) -> Result<SdfSurface> {
+    world.insert_resource(LevelStart { index: index as u32, surface, error });
+    let kept = keep_part(world);
+    let start = world.remove_resource::<LevelStart>().expect("it was inserted above");
+    kept.map(|()| start.surface)
 }
 
 /// The level that a fit begins with, and what it starts from: the first and the hull, with gray
@@ -271,22 +283,35 @@ fn begin_levels(
     (mut hull, empty): (SdfGrid, Option<SdfGrid>),
     options: &ShapeOptions,
 ) -> Result<(usize, SdfSurface)> {
-    let Some(mut saved) = take_part(world) else {
-        if options.cameras != CameraUnknowns::Given {
-            attach_poses(world);
+    keep_resource::<LevelStart>(world, Span::Pass);
+    if resume_part(world)?
+        && let Some(LevelStart { index, surface, error }) = world.remove_resource()
+    {
+        if let Some(rows) = error {
+            world.insert_resource(ModelError::of_rows(&surface.grid, rows));
         }
-        hull.redistance();
-        let first = with_texels(world, hull, empty, &options.levels[0], None);
-        keep_level(world, 0, &first, None)?;
-        return Ok((0, first));
-    };
-    let (index, surface, error): (u32, SdfSurface, Option<ErrorRows>) = saved.take(LEVEL)?;
-    replace_texels(world, &vec![Vec3::ZERO; surface.volume.len()]);
-    checkpoint::load(world, &saved)?;
-    if let Some(rows) = error {
-        world.insert_resource(ModelError::of_rows(&surface.grid, rows));
+        return Ok((index as usize, surface));
     }
-    Ok((index as usize, surface))
+    if options.cameras != CameraUnknowns::Given {
+        attach_poses(world);
+    }
+    hull.redistance();
+    let first = with_texels(world, hull, empty, &options.levels[0], None);
+    Ok((0, keep_level(world, 0, first, None)?))
+}
+
+/// Registers the number of texels as state: that of the columns which are loaded after it.
+pub fn keep_texel_count(world: &mut World) {
+    let count = |world: &mut World| world.query::<&TexelIndex>().iter(world).len();
+    let save = move |world: &mut World| to_bytes(&count(world)).map(Some);
+    let load = move |world: &mut World, bytes: &[u8]| {
+        let kept = from_bytes::<usize>(bytes)?;
+        if kept != count(world) {
+            replace_texels(world, &vec![Vec3::ZERO; kept]);
+        }
+        Ok(())
+    };
+    keep_state(world, "texels", Span::Run, save, load);
 }
 
 /// The start of level `index`, the surface that the level before has found, on its own grid and

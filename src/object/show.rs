@@ -1,7 +1,7 @@
 //! The material, light and shading of frames. Each is one system in a slot of the Frame phase, and
 //! a pass swaps them; the recovered material and the scene's own light do not change.
 
-use crate::pass::run::session::Session;
+use crate::object::Object;
 use crate::scene::{ColorAction, Edit, Light, Pass, Region, RenderSettings, ScalarAction, Shading};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
@@ -11,7 +11,7 @@ use lobelia_io::codec::texture::{read_texture, read_texture_mask};
 use lobelia_sg::shading::ClosedForm;
 use lobelia_solve::shade::{PathTracing, frame::frame_material, shade_closed_form, shade_path_traced};
 use lobelia_solve::visibility::FrameVisibilityPlugin;
-use lobelia_world::light::lights::{LightChoice, provide_light, spawn_light};
+use lobelia_world::light::lights::{LightChoice, provide_light};
 use lobelia_world::light::placement::{PicturePlacement, Placements};
 use lobelia_world::material::edit::{
     EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit,
@@ -20,55 +20,55 @@ use lobelia_world::material::shown::{recovered_material, show_edited, show_recov
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 
 /// Swaps in the material, light, shading and visibility of a pass.
-pub(crate) fn show(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
-    show_material(session, pass)?;
-    if let Some(light) = session.pass_lights.get(pass.name()) {
-        spawn_light(&mut session.pipeline.world, pass.name(), &light.lobes, light.map.clone());
-    }
-    let (choice, by_map) = chosen_light(session, pass, settings.shading);
-    session.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
-    set_shading(&mut session.pipeline, settings, session.scene.seed);
-    session.pipeline.remove_plugin::<FrameVisibilityPlugin>();
+pub(crate) fn show(object: &mut Object, pass: &Pass, settings: &RenderSettings) -> Result<()> {
+    show_material(object, pass)?;
+    let (choice, by_map) = chosen_light(object, pass, settings.shading);
+    object.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
+    let seed = object.scene().seed;
+    set_shading(&mut object.pipeline, settings, seed);
+    object.pipeline.remove_plugin::<FrameVisibilityPlugin>();
     // The published formulas are for comparison and include neither shadows nor interreflection;
     // path tracing includes both itself.
-    if settings.shading == Shading::Accurate && session.has_visibility()? {
-        session.pipeline.add_plugin(&FrameVisibilityPlugin);
+    if settings.shading == Shading::Accurate && object.has_visibility()? {
+        object.pipeline.add_plugin(&FrameVisibilityPlugin);
     }
     Ok(())
 }
 
 /// Swaps in the system that shows the recovered material with the edits of a pass.
-fn show_material(session: &mut Session, pass: &Pass) -> Result<()> {
+fn show_material(object: &mut Object, pass: &Pass) -> Result<()> {
     if pass.edits().is_empty() {
-        session.pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
+        object.pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
         return Ok(());
     }
-    spawn_edits(&mut session.pipeline.world, pass.name(), pass.edits(), &session.surface)?;
-    session.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
+    let surface = object.surface();
+    spawn_edits(&mut object.pipeline.world, pass.name(), pass.edits(), &surface)?;
+    object.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
     Ok(())
 }
 
 /// The light of a pass, and whether path tracing takes its map.
-pub(super) fn chosen_light(session: &Session, pass: &Pass, shading: Shading) -> (LightChoice, bool) {
+pub(crate) fn chosen_light(object: &Object, pass: &Pass, shading: Shading) -> (LightChoice, bool) {
     let by_map = matches!(shading, Shading::PathTraced { map: true, .. });
-    let choice = match session.pass_lights.get(pass.name()) {
+    let choice = match pass.light() {
         Some(_) => LightChoice::Named(pass.name().to_owned()),
         None => LightChoice::Own,
     };
     // After a fit the lobes may differ from the map that they were initialized from.
-    let by_map = by_map && (choice != LightChoice::Own || matches!(session.scene.light, Light::Fixed(_)));
+    let by_map = by_map && (choice != LightChoice::Own || matches!(object.scene().light, Light::Fixed(_)));
     (choice, by_map)
 }
 
 /// The material that the pass `of` shows, by the system that it swaps in; or the recovered one.
-pub(crate) fn material_of(session: &mut Session, of: Option<&str>) -> Result<MaterialState> {
-    let Some(pass) = session.pass_named(of) else {
-        return recovered_material(&mut session.pipeline.world);
+pub(crate) fn material_of(object: &mut Object, of: Option<&str>) -> Result<MaterialState> {
+    let scene = object.scene();
+    let Some(pass) = scene.pass_named(of) else {
+        return recovered_material(&mut object.pipeline.world);
     };
-    show_material(session, pass)?;
+    show_material(object, pass)?;
     // What is written needs no shadows; a pass that renders puts them back.
-    session.pipeline.remove_plugin::<FrameVisibilityPlugin>();
-    frame_material(&mut session.pipeline)
+    object.pipeline.remove_plugin::<FrameVisibilityPlugin>();
+    frame_material(&mut object.pipeline)
 }
 
 pub(crate) fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64) {

@@ -1,16 +1,20 @@
 //! Rendered photographs: the scene's surface with a known material under a known light, path
 //! traced. The fit does not use that knowledge.
 
-use crate::pass::show::{apply_edits, set_shading, spawn_edits};
+use crate::object::show::{apply_edits, set_shading, spawn_edits};
 use crate::scene::{CameraRing, CameraSpec, Edit, Pattern, Photographed, RenderSettings, Scene, Shading};
-use crate::{pass::run::progress::Progress, spawn::LoadedLight, spawn::light::rotation, spawn::load_light};
+use crate::{object::progress::Progress, spawn::LoadedLight, spawn::light::rotation, spawn::load_light};
+use bevy_ecs::prelude::Resource;
 use glam::{Mat3, Vec3};
 use lobelia_geometry::view::{Frame, Image, Mask, Photograph, Placement, Split, StoredMask, ViewRecord};
 use lobelia_geometry::{error::Result, error::stop::check_interrupted, mesh::Surface, view::camera::Camera};
 use lobelia_sg::{fibonacci::fibonacci_axes, ray::Intersect};
 use lobelia_solve::shade::frame::{FramePlugin, render_frame, resolve};
 use lobelia_world::light::lights::{LightChoice, provide_light, spawn_light};
-use lobelia_world::light::{light_frame::LightFrame, placement::LightGroup, placement::PicturePlacement};
+use lobelia_world::light::{
+    groups::GroupLight as NamedLight, light_frame::LightFrame, placement::LightGroup,
+    placement::PicturePlacement,
+};
 use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, edit::MaterialState};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 use lobelia_world::{material::shown::show_edited, material::shown::spawn_material, sample::point::Scenery};
@@ -20,6 +24,7 @@ use std::sync::Arc;
 const TRUTH: &str = "truth";
 
 /// The object that is photographed, in a separate world.
+#[derive(Resource)]
 pub struct TrueObject {
     pipeline: Pipeline,
     surface: Arc<Surface>,
@@ -66,7 +71,7 @@ impl TrueObject {
     pub fn pictures(
         &mut self,
         views: &[(Camera, Placement)],
-        light: Option<&LoadedLight>,
+        light: Option<NamedLight>,
         edits: &[Edit],
         spp: u32,
         seed: u64,
@@ -74,8 +79,9 @@ impl TrueObject {
     ) -> Result<Vec<Frame>> {
         // Each is named by `name_of`.
         let frame = light.is_none().then_some(self.light_frame);
-        let lights = light.map_or(self.lights.as_slice(), std::slice::from_ref);
-        for (number, LoadedLight { lobes, map, .. }) in lights.iter().enumerate() {
+        let own = || self.lights.iter().map(|light| (light.lobes.clone(), light.map.clone())).collect();
+        let lights: Vec<NamedLight> = light.map_or_else(own, |light| vec![light]);
+        for (number, (lobes, map)) in lights.iter().enumerate() {
             let spawned = spawn_light(&mut self.pipeline.world, name_of(number), lobes, map.clone());
             frame.into_iter().for_each(|frame| _ = self.pipeline.world.entity_mut(spawned).insert(frame));
         }
@@ -185,7 +191,7 @@ fn pattern_at(pattern: &Pattern, at: Vec3) -> Vec3 {
     }
 }
 
-pub(super) fn camera_of(spec: &CameraSpec) -> Result<Camera> {
+pub(crate) fn camera_of(spec: &CameraSpec) -> Result<Camera> {
     Camera::look_at(spec.eye, spec.target, spec.up, spec.fov_degrees, spec.width, spec.height)
 }
 

@@ -1,0 +1,366 @@
+//! An object: its surface, material and light, the photographs of it, and what is known of these, in
+//! one world. A scene file, a program and Python make one and call the same functions.
+//!
+//! | module | holds |
+//! | --- | --- |
+//! | [`fit`] | light and material from photographs, with the choices on the way |
+//! | [`shape`] | an unknown surface, with light and material beside it |
+//! | [`show`] | the material, light and shading of frames |
+//! | [`photograph`] | photographs that an object takes of itself, from a truth |
+//! | [`progress`] | what it says on the way, and how that stops it |
+
+pub(crate) mod fit;
+pub(crate) mod photograph;
+pub mod progress;
+pub(crate) mod shape;
+pub(crate) mod show;
+
+use crate::report::scores::{FrameTried, PlacementFound, Scores};
+use crate::scene::{Albedo, Light, LightSource, Pass, PlacementLight, Scene, Views, Visibility};
+use crate::spawn::{
+    SurfaceUse, insert_known_along, light::angles, load_light, make_surface, spawn, unknowns,
+};
+use bevy_ecs::prelude::{Mut, Resource, World};
+use glam::Vec3;
+use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
+use lobelia_geometry::{mesh::Surface, mesh::triangles::Mesh, view::Split, view::ViewRecord};
+use lobelia_solve::fit::run::{Done, FitPlugin, FitSummary, Initialize};
+use lobelia_solve::fit::{FramesTried, components::Unknowns, groups::forget_visibility};
+use lobelia_solve::shade::{device::ShadingDevice, frame::FramePlugin};
+use lobelia_solve::shape::run::keep_texel_count;
+use lobelia_solve::visibility::{ObjectVisibility, VisibilitySettings};
+use lobelia_world::checkpoint::{Span, from_bytes, keep_resource, keep_state, to_bytes};
+use lobelia_world::light::lights::spawn_light;
+use lobelia_world::light::placement::{PlacementTurn, Placements, TurnSource};
+use lobelia_world::material::{SpecularBlend, SpecularLobe, recovered_materials, replace_materials};
+use lobelia_world::sample::point::Scenery;
+use lobelia_world::{light::light_frame::LightFrame, light::light_frame::OwnLightFrame, pipeline::Pipeline};
+use photograph::TrueObject;
+use progress::Progress;
+use serde::{Deserialize, Serialize};
+use std::{sync::Arc, time::Instant};
+use tracing::info_span;
+
+/// Most memory that shadows and reflections may be expected to take.
+const MOST_VISIBILITY_BYTES: usize = 4 << 30;
+
+/// An object in a world of its own.
+pub struct Object {
+    /// The world, with the systems of fits and frames.
+    pub pipeline: Pipeline,
+}
+
+/// What is said of an object: known, unknown, and how it is found, in the words of a scene file.
+#[derive(Resource, Clone)]
+struct Description(Arc<Scene>);
+
+/// The surface of an object; [`Scenery`] is the same, or the field that a fit of the shape moves.
+#[derive(Resource, Clone)]
+struct ObjectSurface {
+    surface: Arc<Surface>,
+    /// Whether it was found, or moved.
+    is_found: bool,
+}
+
+/// The receiver of what an object says.
+#[derive(Resource, Clone)]
+struct Listener(Arc<dyn Progress>);
+
+/// What fits have found beside components and leave to later passes.
+#[derive(Resource, Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Found {
+    /// Unknowns that the next fit initializes from the data: those without an initial value, until
+    /// there has been a fit.
+    pub initialize: Initialize,
+    /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found
+    /// something.
+    pub has_object: bool,
+    /// Whether a fit has chosen several base materials, where the scene leaves that open.
+    pub several: bool,
+    /// The parts of the fit at work that are done.
+    pub chosen: Chosen,
+    /// Whether the surface's normals are not those of its triangles, but found from reflections,
+    /// and whether stereo has moved much of it: a fit then leaves its vertices where they are.
+    pub normals_found: bool,
+    pub by_stereo: bool,
+}
+
+/// The parts of a fit that are done.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Chosen {
+    /// The steps before the last pause or choice about the material.
+    pub done: Done,
+    /// The step after which the next choice is due, if one is.
+    pub asked_after: Option<u32>,
+    /// The step after which several base materials are tried again, if they are.
+    pub again_after: Option<u32>,
+    /// The end of all steps.
+    pub finished: Option<FitSummary>,
+}
+
+impl Object {
+    /// Puts what a scene says and its views into a world, and reads its other inputs. All lights are
+    /// read before anything is fitted, so that a bad file is found at once. Photographs that the
+    /// scene makes of its own object have pixels if they are to be `rendered`; checks look at none.
+    pub(crate) fn open(
+        scene: Scene,
+        mut views: Vec<ViewRecord>,
+        device: Option<ShadingDevice>,
+        progress: Arc<dyn Progress>,
+        use_of: SurfaceUse,
+        rendered: bool,
+    ) -> Result<Self> {
+        let _opening = info_span!("scene opened").entered();
+        let (surface, notes) = make_surface(&scene.surface, &views, use_of)?;
+        notes.iter().for_each(|note| progress.note(note));
+        let surface = Arc::new(surface);
+        let load = |source: &LightSource| {
+            let light = load_light(source)?;
+            light.notes.iter().for_each(|note| progress.note(note));
+            Ok(light)
+        };
+        let own_light = scene.light.source().map(load).transpose()?;
+        let of_group = |light: PlacementLight| match light {
+            PlacementLight::Fixed(source) => load(&source).map(Some),
+            PlacementLight::Own | PlacementLight::Same => Ok(None),
+        };
+        let others: Vec<_> = scene.views.other_lights().into_iter().map(of_group).collect::<Result<_>>()?;
+        let mut pipeline = Pipeline::new();
+        let world = &mut pipeline.world;
+        if let Views::Photographed(spec) = &scene.views {
+            let mut truth = TrueObject::new(spec, &surface)?;
+            views = match rendered {
+                true => truth.take(spec, &scene, &*progress)?,
+                false => photograph::imagine(spec, &scene)?,
+            };
+            world.insert_resource(truth);
+        }
+        check_cameras(&scene, &views, &surface)?;
+        let unknown_light = matches!(scene.light, Light::Unknown(_));
+        let initialize = Initialize {
+            light: unknown_light,
+            albedo: matches!(scene.material.albedo, Albedo::Unknown),
+            specular: scene.material.specular.is_open(),
+        };
+        let has_object = !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_)));
+        let chosen = Chosen::default();
+        let (several, normals_found, by_stereo) = (false, false, false);
+        world.insert_resource(Found { initialize, has_object, several, chosen, normals_found, by_stereo });
+        world.insert_resource(Scores::default());
+        keep_object(world);
+        pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
+        spawn(&mut pipeline, &scene, &surface, views, own_light.as_ref(), &others)?;
+        let world = &mut pipeline.world;
+        for pass in &scene.passes {
+            if let Some(source) = pass.light() {
+                let light = load(source)?;
+                spawn_light(world, pass.name(), &light.lobes, light.map);
+            }
+        }
+        device.into_iter().for_each(|device| world.insert_resource(device));
+        world.insert_resource(ObjectSurface { surface, is_found: false });
+        world.insert_resource(Listener(progress));
+        world.insert_resource(Description(Arc::new(scene)));
+        Ok(Self { pipeline })
+    }
+
+    /// What is said of the object, in the words of a scene file.
+    pub fn scene(&self) -> Arc<Scene> {
+        self.pipeline.world.resource::<Description>().0.clone()
+    }
+
+    /// The surface, with its texels.
+    pub fn surface(&self) -> Arc<Surface> {
+        self.pipeline.world.resource::<ObjectSurface>().surface.clone()
+    }
+
+    /// The scores, warnings and findings so far.
+    pub fn scores(&mut self) -> Mut<'_, Scores> {
+        self.pipeline.world.resource_mut()
+    }
+
+    pub(crate) fn found(&mut self) -> Mut<'_, Found> {
+        self.pipeline.world.resource_mut()
+    }
+
+    pub(crate) fn progress(&self) -> Arc<dyn Progress> {
+        self.pipeline.world.resource::<Listener>().0.clone()
+    }
+
+    /// Says a line of result.
+    pub(crate) fn print(&self, text: &str) {
+        self.progress().print(text);
+    }
+
+    /// Whether the object has shadows and reflections that the scene does not leave out; if so, the
+    /// world has what it takes to find them.
+    pub(crate) fn has_visibility(&mut self) -> Result<bool> {
+        let scene = self.scene();
+        let Visibility::Traced { directions, bounces, refresh_every } = scene.visibility else {
+            return Ok(false);
+        };
+        if !self.pipeline.world.contains_resource::<ObjectVisibility>() {
+            let settings = VisibilitySettings { directions, bounces, refresh_every };
+            let texels = self.surface().atlas().covered.iter().filter(|covered| **covered).count();
+            let views = &scene.views;
+            let bytes = settings.bytes(texels, views.placements(), views.other_lights().len() + 1);
+            if bytes > MOST_VISIBILITY_BYTES {
+                let gib = bytes as f64 / f64::from(1 << 30);
+                return Err(Error::usage(
+                    format!("shadows of {texels} texels in {directions} directions may take {gib:.1} GiB"),
+                    "Lower `texture_size` or `visibility: Traced(directions: …)`, or say `visibility: None`.",
+                ));
+            }
+            let start = Instant::now();
+            let _tracing = info_span!("shadows traced").entered();
+            let bar = self.progress().bar("shadows", 0);
+            bar.set_message("tracing".into());
+            let traced = ObjectVisibility::new(&self.surface(), settings);
+            bar.finish_and_clear();
+            check_interrupted()?;
+            let (mib, elapsed) = (traced.bytes() as f64 / 1048576.0, start.elapsed().as_secs_f64());
+            self.print(&format!("visibility: traced in {elapsed:.1} s, {mib:.1} MiB"));
+            self.pipeline.world.insert_resource(traced);
+        }
+        // A convex object hides nothing, and need not look at every step.
+        Ok(!self.pipeline.world.resource::<ObjectVisibility>().sees_all())
+    }
+
+    /// Says which frame the pass found the light to stand still in, if it looked for it.
+    fn report_light_frame(&mut self, pass: &str) {
+        let world = &mut self.pipeline.world;
+        let Some(FramesTried(tried)) = world.remove_resource::<FramesTried>() else { return };
+        let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
+        let words = |(frame, error): &(LightFrame, f32)| FrameTried { frame: frame.words(), error: *error };
+        let mut scores = self.scores();
+        scores.light_frame = ron::to_string(&frame).ok();
+        scores.light_frames_tried = tried.iter().map(words).collect();
+        let error = |of: LightFrame| tried.iter().find(|(frame, _)| *frame == of).map(|(_, error)| *error);
+        let (Some(own), Some(world)) = (error(frame), error(LightFrame::World)) else { return };
+        let beside = match frame {
+            LightFrame::World => String::new(),
+            _ => format!(
+                " (error of the initialization {own:.4}; as one that stands around the object {world:.4})"
+            ),
+        };
+        self.print(&format!("{pass}: the light {}{beside}", frame.words()));
+    }
+
+    /// Says how the object lies in placements whose rotation the pass has found.
+    fn report_placements(&mut self, pass: &str) {
+        let Some(Placements(turns)) = self.pipeline.world.get_resource::<Placements>() else { return };
+        let found = (1..).zip(turns.iter().skip(1)).filter(|(_, turn)| turn.source == TurnSource::Found);
+        let scene = self.scene();
+        let named = |(number, turn): (usize, &PlacementTurn)| PlacementFound {
+            photographs: match &scene.views {
+                Views::Dataset(data) => data.placements[number].photographs.clone(),
+                Views::Photographed(_) | Views::Cameras(_) => format!("round {}", number + 1),
+            },
+            turned_degrees: angles(turn.room_from_object).into(),
+        };
+        let found: Vec<PlacementFound> = found.map(named).collect();
+        for PlacementFound { photographs, turned_degrees: [x, y, z] } in &found {
+            let turned = format!("({x:.1}, {y:.1}, {z:.1})°");
+            self.print(&format!("{pass}: `{photographs}` shows the object turned by {turned}"));
+        }
+        self.scores().placements = found;
+    }
+
+    /// Returns the unknowns that a fit may move now.
+    fn unknowns(&self) -> Unknowns {
+        let found = unknowns(&self.scene());
+        let several = Unknowns { blends: true, mono_specular: false, metal: true, ..found };
+        if self.pipeline.world.resource::<Found>().several { several } else { found }
+    }
+}
+
+/// Puts a surface that was found, or moved, in place of the one before. Visibility is traced again
+/// when it is needed.
+fn replace_surface(world: &mut World, surface: Arc<Surface>) {
+    world.insert_resource(Scenery(surface.clone()));
+    world.insert_resource(ObjectSurface { surface, is_found: true });
+    forget_visibility(world);
+}
+
+/// Registers what is found of an object beside the columns of a fit, which are loaded after it.
+fn keep_object(world: &mut World) {
+    let save = |world: &mut World| {
+        let found = world.get_resource::<ObjectSurface>().filter(|surface| surface.is_found);
+        found
+            .map(|ObjectSurface { surface, .. }| to_bytes(&(surface.mesh(), surface.atlas().width)))
+            .transpose()
+    };
+    let load = |world: &mut World, bytes: &[u8]| {
+        let (mesh, width): (Mesh, u32) = from_bytes(bytes)?;
+        let now = &world.resource::<ObjectSurface>().surface;
+        if *now.mesh() != mesh || now.atlas().width != width {
+            let surface = Arc::new(Surface::new(mesh, width)?);
+            let scene = world.resource::<Description>().0.clone();
+            insert_known_along(world, &scene.material.sheen, &surface)?;
+            replace_surface(world, surface);
+        }
+        Ok(())
+    };
+    keep_state(world, "surface", Span::Run, save, load);
+    keep_texel_count(world);
+    // Lobes of base materials come after their numbers.
+    let numbers = |world: &mut World| -> Vec<usize> {
+        recovered_materials(world).into_iter().map(|(number, _)| number).collect()
+    };
+    let save = move |world: &mut World| to_bytes(&numbers(world)).map(Some);
+    let load = move |world: &mut World, bytes: &[u8]| {
+        let kept: Vec<usize> = from_bytes(bytes)?;
+        if kept != numbers(world) {
+            let lobes = vec![SpecularLobe::default(); kept.len()];
+            replace_materials(world, &lobes, SpecularBlend::default())?;
+        }
+        Ok(())
+    };
+    keep_state(world, "base materials", Span::Run, save, load);
+    keep_resource::<Found>(world, Span::Run);
+    // In RON, which has numbers that are not finite and leaves out what is not there.
+    let save = |world: &mut World| {
+        let text = ron::to_string(world.resource::<Scores>());
+        text.map(|text| Some(text.into_bytes()))
+            .map_err(|error| Error::run("writing a checkpoint", error.to_string()))
+    };
+    let load = |world: &mut World, bytes: &[u8]| {
+        let scores = ron::de::from_bytes::<Scores>(bytes);
+        world.insert_resource(scores.map_err(|error| Error::run("reading a checkpoint", error.to_string()))?);
+        Ok(())
+    };
+    keep_state(world, "scores", Span::Run, save, load);
+}
+
+/// Checks that each placement has a training photograph, where something is fitted to them; that
+/// the cameras can be used, and that none is inside a closed object, where it sees only back faces.
+fn check_cameras(scene: &Scene, views: &[ViewRecord], surface: &Surface) -> Result<()> {
+    let names: Vec<String> = match &scene.views {
+        Views::Dataset(data) => data.placements.iter().map(|of| format!("`{}`", of.photographs)).collect(),
+        Views::Photographed(spec) => (1..=spec.truth.rounds()).map(|round| round.to_string()).collect(),
+        Views::Cameras(_) => Vec::new(),
+    };
+    let fits = scene.passes.iter().any(|pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_)));
+    let train = || views.iter().filter(|view| view.split == Split::Train);
+    let is_seen = |number: &usize| train().any(|view| view.placement.0 as usize == *number);
+    if let Some(unseen) = (0..names.len()).find(|number| fits && !is_seen(number)) {
+        return Err(Error::usage(
+            format!("no training photograph shows the placement {}", names[unseen]),
+            "A photograph belongs to the first entry of `placements` that it suits: say the longer name first, or leave the entry out.",
+        ));
+    }
+    for view in views {
+        view.camera.check().map_err(|problem| {
+            let help = "Correct the camera, its field of view or `focal_scale`.";
+            Error::usage(format!("the camera of view {} cannot be used: {problem}", view.name), help)
+        })?;
+    }
+    let Some(view) = views.iter().find(|view| surface.is_inside(view.camera.position())) else {
+        return Ok(());
+    };
+    let Vec3 { x, y, z } = view.camera.position();
+    Err(Error::usage(
+        format!("the camera of view {} is inside the object, at ({x:.3}, {y:.3}, {z:.3})", view.name),
+        "Check that the cameras and the object have the same coordinate system and unit, or leave out that view.",
+    ))
+}
