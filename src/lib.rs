@@ -47,6 +47,7 @@
 //! | [`report`] | pictures, contact sheets, scores |
 //! | [`page`] | the page that shows the object in a browser |
 //! | [`survey`] | what of a data set cannot work, before a run |
+//! | [`capture`] | photographs with cameras, as a program reads or makes them |
 //! | [`object`] | an object with its surface, material, light and photographs: how it is found and shown |
 //! | [`pass`] | the passes of a scene file |
 //! | [`prepare`] | from photographs without cameras to a data set and a scene file |
@@ -66,6 +67,7 @@
 //! the equations; *Conventions* has axes, units and parametrizations; *Extending Lobelia* is the
 //! guide to systems, slots and plugins of your own. The folder `examples` has short programs.
 
+pub mod capture;
 pub mod object;
 pub mod page;
 pub mod pass;

@@ -33,6 +33,13 @@
 //! # Ok::<(), lobelia::Error>(())
 //! ```
 
+// Photographs and the object that they show.
+pub use crate::capture::Capture;
+pub use crate::object::progress::{Progress, Step};
+pub use crate::object::{Object, ReconstructOptions, show::Appearance};
+pub use crate::scene::{Edit, FitPass, RenderSettings, ShapePass};
+pub use crate::spawn::LoadedLight as Light;
+
 // Results.
 pub use lobelia_geometry::error::{Error, Result};
 pub use lobelia_world::pipeline::SystemResult;

@@ -15,6 +15,7 @@ mod jobs;
 mod lights;
 mod materials;
 mod mutants;
+mod object;
 mod outputs;
 mod pages;
 mod photos;

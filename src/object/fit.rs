@@ -111,7 +111,7 @@ impl Object {
     /// # Errors
     /// If there are no pixels to fit to, or a system fails. A fit that is stopped leaves what it
     /// has found until then.
-    pub(crate) fn fit(&mut self, pass: &FitPass) -> Result<FitFound> {
+    pub(crate) fn find(&mut self, pass: &FitPass) -> Result<FitFound> {
         if let Gloss::Texels { smoothness, color_width, specular } = self.scene().material.gloss {
             let first = initial_specular(&self.scene().material.specular).roughness;
             let prior = RoughnessPrior::new(self.surface().atlas(), smoothness, color_width, specular);

@@ -1,32 +1,55 @@
 //! An object: its surface, material and light, the photographs of it, and what is known of these, in
 //! one world. A scene file, a program and Python make one and call the same functions.
 //!
+//! ```no_run
+//! use lobelia::prelude::*;
+//!
+//! let capture = Capture::read("kettle")?.hold_out(8);
+//! let mut object = Object::reconstruct(&capture, &ReconstructOptions::default())?;
+//! let camera = capture.test()[0].camera;
+//! let frame = object.render(camera)?;
+//! let night = object.relit(&Light::map("night.hdr")?).render(camera)?;
+//! object.edited([Edit::metal("#d4af37", 0.2)?]).export("kettle.glb")?;
+//! object.save("kettle/found")?;
+//! # Ok::<(), lobelia::Error>(())
+//! ```
+//!
 //! | module | holds |
 //! | --- | --- |
 //! | [`fit`] | light and material from photographs, with the choices on the way |
 //! | [`shape`] | an unknown surface, with light and material beside it |
-//! | [`show`] | the material, light and shading of frames |
+//! | [`show`] | what is shown of it: with edits, under another light, by another shading |
+//! | [`save`], [`export`] | it as a scene file, and as a mesh for other programs |
 //! | [`photograph`] | photographs that an object takes of itself, from a truth |
 //! | [`progress`] | what it says on the way, and how that stops it |
 
+pub mod export;
 pub(crate) mod fit;
 pub(crate) mod photograph;
 pub mod progress;
+pub mod save;
 pub(crate) mod shape;
-pub(crate) mod show;
+pub mod show;
 
+use crate::capture::{Capture, read_views};
 use crate::report::scores::{FrameTried, PlacementFound, Scores};
-use crate::scene::{Albedo, Light, LightSource, Pass, PlacementLight, Scene, Views, Visibility};
+use crate::scene::{
+    Albedo, FitPass, Light, LightSource, LoadOptions, Material, Pass, PlacementLight, Scene, ShapePass,
+    Surface as SurfaceSpec, Views, Visibility, load,
+};
 use crate::spawn::{
     SurfaceUse, insert_known_along, light::angles, load_light, make_surface, spawn, unknowns,
 };
+use crate::survey::open::OpenScene;
 use bevy_ecs::prelude::{Mut, Resource, World};
 use glam::Vec3;
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
-use lobelia_geometry::{mesh::Surface, mesh::triangles::Mesh, view::Split, view::ViewRecord};
+use lobelia_geometry::{
+    mesh::Surface, mesh::atlas::unwrap_mesh, mesh::triangles::Mesh, view::Split, view::ViewRecord,
+};
 use lobelia_solve::fit::run::{Done, FitPlugin, FitSummary, Initialize};
 use lobelia_solve::fit::{FramesTried, components::Unknowns, groups::forget_visibility};
-use lobelia_solve::shade::{device::ShadingDevice, frame::FramePlugin};
+use lobelia_solve::shade::frame::FramePlugin;
 use lobelia_solve::shape::run::keep_texel_count;
 use lobelia_solve::visibility::{ObjectVisibility, VisibilitySettings};
 use lobelia_world::checkpoint::{Span, from_bytes, keep_resource, keep_state, to_bytes};
@@ -36,9 +59,9 @@ use lobelia_world::material::{SpecularBlend, SpecularLobe, recovered_materials, 
 use lobelia_world::sample::point::Scenery;
 use lobelia_world::{light::light_frame::LightFrame, light::light_frame::OwnLightFrame, pipeline::Pipeline};
 use photograph::TrueObject;
-use progress::Progress;
+use progress::{Progress, Silent};
 use serde::{Deserialize, Serialize};
-use std::{sync::Arc, time::Instant};
+use std::{path::Path, path::PathBuf, sync::Arc, time::Instant};
 use tracing::info_span;
 
 /// Most memory that shadows and reflections may be expected to take.
@@ -46,8 +69,7 @@ const MOST_VISIBILITY_BYTES: usize = 4 << 30;
 
 /// An object in a world of its own.
 pub struct Object {
-    /// The world, with the systems of fits and frames.
-    pub pipeline: Pipeline,
+    pub(crate) pipeline: Pipeline,
 }
 
 /// What is said of an object: known, unknown, and how it is found, in the words of a scene file.
@@ -98,21 +120,113 @@ pub(crate) struct Chosen {
     pub finished: Option<FitSummary>,
 }
 
+/// How an object is found from photographs; what is not said is unknown, and found.
+#[derive(Clone)]
+pub struct ReconstructOptions {
+    /// Width and height of the texture, in texels, 8 to 4096.
+    pub texture_size: u32,
+    /// What is known of the light.
+    pub light: Light,
+    /// What is known of the material.
+    pub material: Material,
+    /// Shadows and reflections of the object on itself.
+    pub visibility: Visibility,
+    /// How the shape is found, where it is; `None`: as suits the photographs.
+    pub shape: Option<ShapePass>,
+    /// How light and material are found; `None`: as suits the photographs.
+    pub fit: Option<FitPass>,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// The receiver of messages and steps, which may end the work: [`Silent`], or a closure over
+    /// [`Step`](progress::Step)s.
+    pub progress: Arc<dyn Progress>,
+}
+
+impl Default for ReconstructOptions {
+    /// All is unknown and found as suits the photographs, on 512² texels, without messages.
+    fn default() -> Self {
+        Self {
+            texture_size: 512,
+            light: Light::default(),
+            material: Material::default(),
+            visibility: Visibility::default(),
+            shape: None,
+            fit: None,
+            seed: 0,
+            progress: Arc::new(Silent),
+        }
+    }
+}
+
 impl Object {
-    /// Puts what a scene says and its views into a world, and reads its other inputs. All lights are
+    /// Finds the surface, light and material of what photographs with masks show.
+    ///
+    /// # Errors
+    /// If a photograph has no mask, the masks have no hull, or a fit fails.
+    pub fn reconstruct(capture: &Capture, options: &ReconstructOptions) -> Result<Self> {
+        let spec = SurfaceSpec::Unknown { cells: 128, texture_size: options.texture_size };
+        let (surface, _) = make_surface(&spec, capture, SurfaceUse::UntilShape)?;
+        let mut object = Self::of_capture(spec, surface, capture, options)?;
+        let shape = options.shape.clone().unwrap_or_else(|| capture.shape_pass());
+        if !object.find_shape(&shape)? {
+            object.find(&options.fit.clone().unwrap_or_else(|| capture.fit_pass_of_shape()))?;
+        }
+        Ok(object)
+    }
+
+    /// Finds light and material of a surface that is known, from photographs.
+    ///
+    /// # Errors
+    /// If the mesh cannot be unwrapped, no photograph shows it, or the fit fails.
+    pub fn fit(mesh: &Mesh, capture: &Capture, options: &ReconstructOptions) -> Result<Self> {
+        let texture_size = options.texture_size;
+        let surface = Surface::new(unwrap_mesh(mesh, texture_size)?.mesh, texture_size)?;
+        let spec = SurfaceSpec::Mesh { path: PathBuf::new(), texture_size, own_material: false };
+        let mut object = Self::of_capture(spec, surface, capture, options)?;
+        object.find(&options.fit.clone().unwrap_or_else(|| capture.fit_pass()))?;
+        Ok(object)
+    }
+
+    fn of_capture(
+        surface: SurfaceSpec,
+        of: Surface,
+        capture: &Capture,
+        options: &ReconstructOptions,
+    ) -> Result<Self> {
+        let ReconstructOptions { light, material, visibility, seed, progress, .. } = options.clone();
+        let scene = Scene { seed, surface, light, material, visibility, ..capture.scene() };
+        Self::of_scene(scene, of, capture.to_vec(), progress, false)
+    }
+
+    /// Opens an object that was saved, or that a scene file says in another way; no pass is run, and
+    /// what is unknown has the values that a fit starts from.
+    ///
+    /// # Errors
+    /// If the scene file or what it names cannot be read.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let scene = load(path.as_ref(), &LoadOptions::default())?.scene;
+        let data = OpenScene::new(&scene)?;
+        let (views, _) = read_views(&scene, data.as_ref(), &Silent)?;
+        let (surface, _) = make_surface(&scene.surface, &views, SurfaceUse::Lasting)?;
+        Self::of_scene(scene.clone(), surface, views, Arc::new(Silent), true)
+    }
+
+    /// The world and its systems.
+    pub fn pipeline(&mut self) -> &mut Pipeline {
+        &mut self.pipeline
+    }
+
+    /// Puts what a scene says, its surface and its views into a world, and reads its other inputs. All lights are
     /// read before anything is fitted, so that a bad file is found at once. Photographs that the
     /// scene makes of its own object have pixels if they are to be `rendered`; checks look at none.
-    pub(crate) fn open(
+    pub(crate) fn of_scene(
         scene: Scene,
+        surface: Surface,
         mut views: Vec<ViewRecord>,
-        device: Option<ShadingDevice>,
         progress: Arc<dyn Progress>,
-        use_of: SurfaceUse,
         rendered: bool,
     ) -> Result<Self> {
         let _opening = info_span!("scene opened").entered();
-        let (surface, notes) = make_surface(&scene.surface, &views, use_of)?;
-        notes.iter().for_each(|note| progress.note(note));
         let surface = Arc::new(surface);
         let load = |source: &LightSource| {
             let light = load_light(source)?;
@@ -157,7 +271,6 @@ impl Object {
                 spawn_light(world, pass.name(), &light.lobes, light.map);
             }
         }
-        device.into_iter().for_each(|device| world.insert_resource(device));
         world.insert_resource(ObjectSurface { surface, is_found: false });
         world.insert_resource(Listener(progress));
         world.insert_resource(Description(Arc::new(scene)));

@@ -6,7 +6,7 @@ use crate::scene::{CameraRing, CameraSpec, Edit, Pattern, Photographed, RenderSe
 use crate::{object::progress::Progress, spawn::LoadedLight, spawn::light::rotation, spawn::load_light};
 use bevy_ecs::prelude::Resource;
 use glam::{Mat3, Vec3};
-use lobelia_geometry::view::{Frame, Image, Mask, Photograph, Placement, Split, StoredMask, ViewRecord};
+use lobelia_geometry::view::{Frame, Photograph, Placement, Split, ViewRecord};
 use lobelia_geometry::{error::Result, error::stop::check_interrupted, mesh::Surface, view::camera::Camera};
 use lobelia_sg::{fibonacci::fibonacci_axes, ray::Intersect};
 use lobelia_solve::shade::frame::{FramePlugin, render_frame, resolve};
@@ -110,18 +110,12 @@ impl TrueObject {
 
     /// Its photographs, from the cameras of the scene.
     pub fn take(&mut self, spec: &Photographed, scene: &Scene, to: &dyn Progress) -> Result<Vec<ViewRecord>> {
-        let mut views = imagine(spec, scene)?;
+        let views = imagine(spec, scene)?;
         let bar = to.bar("photograph", views.len() as u64);
         let shown: Vec<_> = views.iter().map(|view| (view.camera, view.placement)).collect();
         let frames = self.pictures(&shown, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
         bar.finish_and_clear();
-        for (view, frame) in views.iter_mut().zip(frames) {
-            let Camera { width, height, .. } = view.camera;
-            let (image, mask) = (Image { width, height, pixels: frame.color }, frame.alpha);
-            view.photograph = Some(Photograph::of_image(&image));
-            view.mask = Some(StoredMask::new(&Mask { width, height, coverage: mask }));
-        }
-        Ok(views)
+        Ok(views.into_iter().zip(frames).map(|(view, frame)| view.with_frame(frame)).collect())
     }
 }
 

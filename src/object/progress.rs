@@ -82,17 +82,26 @@ pub trait Bar: Send + Sync {
     fn finish_and_clear(&self) {}
 }
 
+/// What is done with each step before it is passed on.
+type Watch = Box<dyn Fn(&Step, &mut World) -> Result<()> + Send + Sync>;
+
 /// A [`Progress`] that passes everything on, and keeps lines of result and notes for the run's
 /// record.
 pub struct RecordedMessages {
     to: Arc<dyn Progress>,
     lines: Mutex<Vec<String>>,
+    watch: Option<Watch>,
 }
 
 impl RecordedMessages {
     /// Passes on `to` another.
     pub fn new(to: Arc<dyn Progress>) -> Self {
-        Self { to, lines: Mutex::default() }
+        Self { to, lines: Mutex::default(), watch: None }
+    }
+
+    /// Does something with each step as well.
+    pub(crate) fn watching(self, watch: Watch) -> Self {
+        Self { watch: Some(watch), ..self }
     }
 
     /// The lines since this was called last.
@@ -125,6 +134,7 @@ impl Progress for RecordedMessages {
     }
 
     fn step(&self, at: &Step, world: &mut World) -> Result<ControlFlow<()>> {
+        self.watch.as_ref().map_or(Ok(()), |watch| watch(at, world))?;
         self.to.step(at, world)
     }
 }

@@ -40,7 +40,7 @@ impl Object {
     ///
     /// # Errors
     /// If the surface is not unknown, the masks have no hull, or a fit fails.
-    pub(crate) fn shape(&mut self, pass: &ShapePass) -> Result<bool> {
+    pub(crate) fn find_shape(&mut self, pass: &ShapePass) -> Result<bool> {
         let (name, scene) = (&pass.name, self.scene());
         let SurfaceSpec::Unknown { texture_size, .. } = scene.surface else {
             return Err(Error::run(name, "the surface is given: a `Shape` pass needs `surface: Unknown()`"));

@@ -1,74 +1,209 @@
 //! The material, light and shading of frames. Each is one system in a slot of the Frame phase, and
 //! a pass swaps them; the recovered material and the scene's own light do not change.
 
-use crate::object::Object;
-use crate::scene::{ColorAction, Edit, Light, Pass, Region, RenderSettings, ScalarAction, Shading};
+use crate::object::{Object, ObjectSurface};
+use crate::scene::{ColorAction, Edit, Light, LightSource, Region, RenderSettings, ScalarAction, Shading};
+use crate::spawn::LoadedLight;
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use lobelia_geometry::parallel;
-use lobelia_geometry::{error::Result, mesh::Surface, mesh::atlas::TexelAtlas, view::Placement};
+use lobelia_geometry::view::{Camera, Frame, Placement};
+use lobelia_geometry::{error::Result, mesh::Surface, mesh::atlas::TexelAtlas};
 use lobelia_io::codec::texture::{read_texture, read_texture_mask};
 use lobelia_sg::shading::ClosedForm;
-use lobelia_solve::shade::{PathTracing, frame::frame_material, shade_closed_form, shade_path_traced};
+use lobelia_solve::shade::frame::{frame_material, render_frame, resolve};
+use lobelia_solve::shade::{PathTracing, shade_closed_form, shade_path_traced};
 use lobelia_solve::visibility::FrameVisibilityPlugin;
-use lobelia_world::light::lights::{LightChoice, provide_light};
+use lobelia_world::light::lights::{
+    LightChoice, named_light, own_lobes, own_map, provide_light, spawn_light,
+};
 use lobelia_world::light::placement::{PicturePlacement, Placements};
+use lobelia_world::light::{LightLobe, illuminate::MapLight};
 use lobelia_world::material::edit::{
     EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit,
 };
 use lobelia_world::material::shown::{recovered_material, show_edited, show_recovered};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
+use std::sync::Arc;
 
-/// Swaps in the material, light, shading and visibility of a pass.
-pub(crate) fn show(object: &mut Object, pass: &Pass, settings: &RenderSettings) -> Result<()> {
-    show_material(object, pass)?;
-    let (choice, by_map) = chosen_light(object, pass, settings.shading);
-    object.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
-    let seed = object.scene().seed;
-    set_shading(&mut object.pipeline, settings, seed);
-    object.pipeline.remove_plugin::<FrameVisibilityPlugin>();
-    // The published formulas are for comparison and include neither shadows nor interreflection;
-    // path tracing includes both itself.
-    if settings.shading == Shading::Accurate && object.has_visibility()? {
-        object.pipeline.add_plugin(&FrameVisibilityPlugin);
+/// The name of edits and light that are of no pass.
+const SHOWN: &str = "shown";
+
+/// An object as it is shown: with edits, under another light, by another shading. Systems are
+/// swapped in for that, and nothing is copied; when this is dropped, the object shows itself again.
+pub struct Appearance<'a> {
+    pub(crate) object: &'a mut Object,
+    /// Name of the edits, and of the light, if it is not the object's own.
+    name: String,
+    pub(super) edits: Vec<Edit>,
+    /// The other light: the source that says it, if one does, or none of a light in memory.
+    pub(super) relit: Option<Option<LightSource>>,
+    settings: RenderSettings,
+    /// Whether systems were swapped in.
+    is_in: bool,
+}
+
+impl Drop for Appearance<'_> {
+    fn drop(&mut self) {
+        if self.is_in {
+            let own = provide_light(LightChoice::Own, false);
+            let pipeline = &mut self.object.pipeline;
+            pipeline.swap(Phase::Frame, Slot::Material, show_recovered()).swap(
+                Phase::Frame,
+                Slot::Light,
+                own,
+            );
+            set_shading(pipeline, &RenderSettings::default(), 0);
+        }
     }
-    Ok(())
 }
 
-/// Swaps in the system that shows the recovered material with the edits of a pass.
-fn show_material(object: &mut Object, pass: &Pass) -> Result<()> {
-    if pass.edits().is_empty() {
-        object.pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
-        return Ok(());
+impl Object {
+    /// The object as it was found.
+    pub fn shown(&mut self) -> Appearance<'_> {
+        let (name, edits, settings) = (SHOWN.to_owned(), Vec::new(), RenderSettings::default());
+        Appearance { object: self, name, edits, relit: None, settings, is_in: false }
     }
-    let surface = object.surface();
-    spawn_edits(&mut object.pipeline.world, pass.name(), pass.edits(), &surface)?;
-    object.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
-    Ok(())
+
+    /// The object as the pass with a name shows it, or as it was found.
+    pub(crate) fn shown_by(&mut self, pass: Option<&str>) -> Appearance<'_> {
+        let scene = self.scene();
+        match scene.pass_named(pass) {
+            Some(pass) => Appearance {
+                name: pass.name().to_owned(),
+                edits: pass.edits().to_vec(),
+                relit: pass.light().map(|source| Some(source.clone())),
+                settings: pass.render().cloned().unwrap_or_default(),
+                is_in: false,
+                object: self,
+            },
+            None => self.shown(),
+        }
+    }
+
+    /// The object under another light.
+    pub fn relit(&mut self, light: &LoadedLight) -> Appearance<'_> {
+        self.shown().relit(light)
+    }
+
+    /// The object with a changed material. Each element is the edits that make one change, as
+    /// [`Edit::metal`] does.
+    pub fn edited<E: IntoIterator<Item = Edit>>(
+        &mut self,
+        edits: impl IntoIterator<Item = E>,
+    ) -> Appearance<'_> {
+        self.shown().edited(edits)
+    }
+
+    /// Renders the object with the systems that are in the slots of frames: as it was found, if none
+    /// was swapped in.
+    ///
+    /// # Errors
+    /// The first error of a system.
+    pub fn render(&mut self, camera: Camera) -> Result<Frame> {
+        self.swap_in_visibility(true)?;
+        Ok(resolve(&render_frame(&mut self.pipeline, camera, RenderSettings::default().samples_per_pixel)?))
+    }
+
+    /// Swaps in shadows and reflections of frames, if they are wanted and the object has some.
+    fn swap_in_visibility(&mut self, wanted: bool) -> Result<()> {
+        self.pipeline.remove_plugin::<FrameVisibilityPlugin>();
+        if wanted && self.has_visibility()? {
+            self.pipeline.add_plugin(&FrameVisibilityPlugin);
+        }
+        Ok(())
+    }
 }
 
-/// The light of a pass, and whether path tracing takes its map.
-pub(crate) fn chosen_light(object: &Object, pass: &Pass, shading: Shading) -> (LightChoice, bool) {
-    let by_map = matches!(shading, Shading::PathTraced { map: true, .. });
-    let choice = match pass.light() {
-        Some(_) => LightChoice::Named(pass.name().to_owned()),
-        None => LightChoice::Own,
-    };
-    // After a fit the lobes may differ from the map that they were initialized from.
-    let by_map = by_map && (choice != LightChoice::Own || matches!(object.scene().light, Light::Fixed(_)));
-    (choice, by_map)
-}
+impl Appearance<'_> {
+    /// The same under another light.
+    #[must_use]
+    pub fn relit(mut self, light: &LoadedLight) -> Self {
+        let world = &mut self.object.pipeline.world;
+        spawn_light(world, self.name.as_str(), &light.lobes, light.map.clone());
+        self.relit = Some(light.source.clone());
+        self
+    }
 
-/// The material that the pass `of` shows, by the system that it swaps in; or the recovered one.
-pub(crate) fn material_of(object: &mut Object, of: Option<&str>) -> Result<MaterialState> {
-    let scene = object.scene();
-    let Some(pass) = scene.pass_named(of) else {
-        return recovered_material(&mut object.pipeline.world);
-    };
-    show_material(object, pass)?;
-    // What is written needs no shadows; a pass that renders puts them back.
-    object.pipeline.remove_plugin::<FrameVisibilityPlugin>();
-    frame_material(&mut object.pipeline)
+    /// The same with further edits.
+    #[must_use]
+    pub fn edited<E: IntoIterator<Item = Edit>>(mut self, edits: impl IntoIterator<Item = E>) -> Self {
+        self.edits.extend(edits.into_iter().flatten());
+        self
+    }
+
+    /// The same with another shading, samples a pixel and so on.
+    #[must_use]
+    pub fn rendered_by(mut self, settings: RenderSettings) -> Self {
+        self.settings = settings;
+        self
+    }
+
+    /// Renders a picture, with the samples a pixel of the settings.
+    ///
+    /// # Errors
+    /// If an edit's texture cannot be read; the first error of a system.
+    pub fn render(&mut self, camera: Camera) -> Result<Frame> {
+        self.swap_in()?;
+        let rays = camera_rays(&self.settings);
+        Ok(resolve(&render_frame(&mut self.object.pipeline, camera, rays)?))
+    }
+
+    /// The material that is shown, as plain columns.
+    ///
+    /// # Errors
+    /// As of [`Self::render`].
+    pub fn material(&mut self) -> Result<MaterialState> {
+        if self.edits.is_empty() {
+            return recovered_material(&mut self.object.pipeline.world);
+        }
+        self.swap_in_material()?;
+        // It needs no shadows.
+        self.object.swap_in_visibility(false)?;
+        frame_material(&mut self.object.pipeline)
+    }
+
+    /// The lobes of the light, and the map that they approximate, if one does.
+    pub(super) fn light(&mut self) -> (Vec<LightLobe>, Option<Arc<MapLight>>) {
+        let world = &mut self.object.pipeline.world;
+        let named = self.relit.as_ref().and_then(|_| named_light(world, &self.name));
+        named.unwrap_or_else(|| (own_lobes(world), own_map(world)))
+    }
+
+    /// Swaps in the systems of its material, light, shading and visibility.
+    pub(crate) fn swap_in(&mut self) -> Result<()> {
+        self.swap_in_material()?;
+        let (choice, by_map) = self.chosen_light();
+        self.object.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
+        let seed = self.object.scene().seed;
+        set_shading(&mut self.object.pipeline, &self.settings, seed);
+        // The published formulas are for comparison and include neither shadows nor
+        // interreflection; path tracing includes both itself.
+        self.object.swap_in_visibility(self.settings.shading == Shading::Accurate)
+    }
+
+    fn swap_in_material(&mut self) -> Result<()> {
+        self.is_in = true;
+        let Object { pipeline } = &mut *self.object;
+        if self.edits.is_empty() {
+            pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
+            return Ok(());
+        }
+        let surface = pipeline.world.resource::<ObjectSurface>().surface.clone();
+        spawn_edits(&mut pipeline.world, &self.name, &self.edits, &surface)?;
+        pipeline.swap(Phase::Frame, Slot::Material, show_edited(self.name.as_str()));
+        Ok(())
+    }
+
+    /// The light, and whether path tracing takes its map.
+    pub(crate) fn chosen_light(&self) -> (LightChoice, bool) {
+        let by_map = matches!(self.settings.shading, Shading::PathTraced { map: true, .. });
+        match self.relit {
+            Some(_) => (LightChoice::Named(self.name.clone()), by_map),
+            // After a fit the lobes may differ from the map that they were initialized from.
+            None => (LightChoice::Own, by_map && matches!(self.object.scene().light, Light::Fixed(_))),
+        }
+    }
 }
 
 pub(crate) fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64) {

@@ -1,8 +1,8 @@
 //! The `Fit` pass: recovers the unknowns from the training views and writes the results.
 
 use crate::object::fit::{FitFound, take_log};
+use crate::object::save::{RGB, vector_channels, weight_channels, write_layers};
 use crate::object::{Object, photograph::TrueObject};
-use crate::pass::save::{RGB, vector_channels, weight_channels, write_layers};
 use crate::pass::view_report::{csv_entry, note_fit};
 use crate::report::scores::ScaleFound;
 use crate::scene::{FitPass, Views};
@@ -47,7 +47,7 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &FitPass) -> Result<()>
     // Created first, so that an unwritable folder is detected before the fit.
     let folder = out.join(&pass.name);
     std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
-    let found = object.fit(pass)?;
+    let found = object.find(pass)?;
     let _writing = info_span!("results written").entered();
     note_fit(object);
     report(object, &pass.name, &found);

@@ -7,19 +7,17 @@
 //! | both | `fit` | `cam_dict_norm.json` of optimized cameras, `exposures.csv` |
 //! | `Render`, `Edit`, `Relight` | `render` | an EXR with layers and a PNG per view, the animation of an orbit |
 //! | `Evaluate` | `evaluate` | a contact sheet, `views.csv`, and a folder per scored pass with small pictures of its views; scores go to `OUT/metrics.json` |
-//! | `Save` | [`save`] | `scene.ron` with side files |
-//! | `Export` | `export` | `mesh.glb`, `mesh.usda`, `mesh.usdz` with their textures; the light as `.hdr`; a page |
+//! | `Save` | [`object::save`](crate::object::save) | `scene.ron` with side files |
+//! | `Export` | [`object::export`](crate::object::export) | `mesh.glb`, `mesh.usda`, `mesh.usdz` with their textures; the light as `.hdr`; a page |
 //! | `View` | [`view`] | `view.html` |
 //!
 //! Passes call an [`Object`](crate::object::Object) and write what comes of it; everything that is of
 //! no single pass is in `run`.
 
 pub(crate) mod evaluate;
-pub(crate) mod export;
 pub(crate) mod fit;
 pub(crate) mod render;
 mod run;
-pub mod save;
 pub(crate) mod shape;
 pub mod view;
 mod view_report;

@@ -1,7 +1,7 @@
 //! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that
 //! `show` swaps in, as views and as films, in which camera, light and material change.
 
-use crate::object::show::{camera_rays, chosen_light, show, show_placement};
+use crate::object::show::{camera_rays, show_placement};
 use crate::object::{Object, progress::Bar};
 use crate::scene::{
     Easing, LightSweep, MaterialSweep, Orbit, OrbitKey, Pass, RenderSettings, Shading, ViewChoice,
@@ -17,7 +17,7 @@ use lobelia_io::codec::tone::{Backdrop, Look, Picture, write_png_rows};
 use lobelia_io::codec::{exr_frame::write_frame_rows, file::file_stems, png_file::write_rgb8};
 use lobelia_sg::color::srgb_from_linear;
 use lobelia_solve::shade::{adaptive::render_adaptive, frame::band_rows, frame::render_bands};
-use lobelia_world::light::lights::{IncidentLight, provide_turned_light};
+use lobelia_world::light::lights::{IncidentLight, LightChoice, provide_turned_light};
 use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditTarget};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 use lobelia_world::{light::placement::PicturePlacement, material::shown::show_edited, sample::despawn_pool};
@@ -31,7 +31,9 @@ const FRAMES: &str = "orbit_frames";
 
 /// Runs one of the three passes.
 pub(crate) fn run(object: &mut Object, out: &Path, pass: &Pass, settings: &RenderSettings) -> Result<()> {
-    show(object, pass, settings)?;
+    let mut shown = object.shown_by(Some(pass.name()));
+    shown.swap_in()?;
+    let (light, object) = (shown.chosen_light(), &mut *shown.object);
     let name = pass.name();
     let folder = out.join(name);
     let views = chosen_views(&mut object.pipeline.world, settings);
@@ -61,7 +63,8 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &Pass, settings: &Rende
         bar.inc(1);
     }
     if let Some((orbit, cameras)) = &film {
-        let rendered = render_film(object, out, pass, settings, (orbit, cameras), &*bar);
+        let film = Film { orbit, cameras, light };
+        let rendered = render_film(object, out, pass, settings, &film, &*bar);
         sweep_material(&mut object.pipeline.world, name, Vec::new());
         despawn_pool(&mut object.pipeline.world);
         let _writing = info_span!("film written").entered();
@@ -77,6 +80,13 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &Pass, settings: &Rende
     Ok(())
 }
 
+/// A film: how it goes around the object, the cameras of its frames, and the light that turns.
+struct Film<'a> {
+    orbit: &'a Orbit,
+    cameras: &'a [Camera],
+    light: (LightChoice, bool),
+}
+
 /// Renders the frames of a film; a thread writes each as a PNG file while the next one is rendered.
 /// Returns the files.
 fn render_film(
@@ -84,7 +94,7 @@ fn render_film(
     out: &Path,
     pass: &Pass,
     settings: &RenderSettings,
-    (orbit, cameras): (&Orbit, &[Camera]),
+    Film { orbit, cameras, light }: &Film,
     bar: &dyn Bar,
 ) -> Result<Vec<PathBuf>> {
     let folder = out.join(pass.name()).join(FRAMES);
@@ -94,12 +104,12 @@ fn render_film(
         let (sender, ready) = sync_channel::<(&PathBuf, RgbImage)>(1);
         let write = |(file, frame): (&PathBuf, RgbImage)| write_rgb8(file, &frame);
         let writer = scope.spawn(move || ready.into_iter().try_for_each(write));
-        let rendered = (0..).zip(cameras).zip(&files).try_for_each(|((frame, camera), file)| {
+        let rendered = (0..).zip(*cameras).zip(&files).try_for_each(|((frame, camera), file)| {
             check_interrupted()?;
             // Swaps in the light of the frame, and edits the material, if the film changes them.
             let time = Time::of(frame, orbit.frames);
             if let Some(sweep) = &orbit.light {
-                let (choice, by_map) = chosen_light(object, pass, settings.shading);
+                let (choice, by_map) = light.clone();
                 let light = provide_turned_light(choice, by_map, light_turn(sweep, object.scene().up, time));
                 object.pipeline.swap(Phase::Frame, Slot::Light, light);
             }

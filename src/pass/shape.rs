@@ -17,7 +17,7 @@ use std::path::Path;
 /// # Errors
 /// If the surface of the scene is not unknown, the masks have no hull, or a fit fails.
 pub(crate) fn run(object: &mut Object, out: &Path, pass: &ShapePass) -> Result<()> {
-    let stopped = object.shape(pass)?;
+    let stopped = object.find_shape(pass)?;
     write_views(object, out, &pass.name, pass.cameras)?;
     if stopped { Err(Error::Interrupted) } else { Ok(()) }
 }

@@ -1,7 +1,7 @@
 //! The `View` pass: a page that shows the object in a browser, with small photographs, of which
 //! only the part that shows the object.
 
-use crate::object::{Object, show::material_of};
+use crate::object::Object;
 use crate::page::{Contents, PageCamera, PageLight, PagePhotograph, html, upright};
 use crate::scene::{Pass, ViewPass, load::edit_to_ron};
 use crate::{report::sheet::choose_evenly, survey::counted};
@@ -40,7 +40,7 @@ pub(crate) fn write_page(
     named: Vec<(String, Vec<LightLobe>)>,
     path: &Path,
 ) -> Result<()> {
-    let material = material_of(object, pass.of.as_deref())?;
+    let material = object.shown_by(pass.of.as_deref()).material()?;
     let scene = object.scene();
     let edits = scene.pass_named(pass.of.as_deref()).map_or(&[][..], Pass::edits);
     let edits = edits.iter().map(edit_to_ron).collect::<Result<Vec<String>>>()?;

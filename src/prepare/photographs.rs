@@ -235,8 +235,8 @@ fn unturned(path: &Path) -> Result<Vec<u8>> {
 mod tests {
     use super::*;
     use crate::object::progress::{RecordedMessages, Silent};
-    use std::sync::Arc;
     use image::{ImageEncoder, RgbImage, Rgba, RgbaImage, codecs::jpeg::JpegEncoder};
+    use std::sync::Arc;
     use tempfile::TempDir;
 
     /// A little-endian EXIF block with an orientation and a focal length in millimeters.

@@ -57,6 +57,23 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// Views of an object of which nothing is known.
+    pub fn of_views(views: Views) -> Self {
+        Self {
+            version: VERSION,
+            seed: 0,
+            up: y_axis(),
+            surface: Surface::Unknown { cells: number::<128>(), texture_size: number::<512>() },
+            views,
+            light: Light::default(),
+            light_frame: LightFrameChoice::default(),
+            material: Material::default(),
+            scale: ScaleRule::default(),
+            visibility: Visibility::default(),
+            passes: Vec::new(),
+        }
+    }
+
     /// The pass with a name.
     pub fn pass_named(&self, name: Option<&str>) -> Option<&Pass> {
         self.passes.iter().find(|pass| Some(pass.name()) == name)

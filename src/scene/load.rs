@@ -57,7 +57,11 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
         true => format!("Give a scene file; `lobelia new {}` writes one for a folder.", path.display()),
         false => "Give a scene file, e.g. scenes/quickstart.ron.".to_owned(),
     };
-    let mut text = read_text(path, MOST_TEXT, help)?;
+    read(read_text(path, MOST_TEXT, help)?, path, options)
+}
+
+/// Reads and checks the text of a scene file that is at `path`, or would be.
+pub(crate) fn read(mut text: String, path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
     for (target, value) in &options.sets {
         text = set(&text, target, value)
             .map_err(|(problem, help)| Error::usage(format!("--set {target}={value}: {problem}"), help))?;

@@ -3,8 +3,9 @@
 
 use crate::{scene::number, scene::yes};
 use glam::Vec3;
+use lobelia_geometry::{Error, Result};
 use lobelia_io::codec::tone::Tone;
-use lobelia_sg::accurate::Quality;
+use lobelia_sg::{accurate::Quality, color::linear_from_srgb};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -265,12 +266,56 @@ pub enum Edit {
 }
 
 impl Edit {
+    /// The edits that make the whole object metal of a color, `#rrggbb` in sRGB, and of a roughness
+    /// in [0.03, 1].
+    ///
+    /// # Errors
+    /// If the color is written in another way.
+    pub fn metal(color: &str, roughness: f32) -> Result<[Self; 3]> {
+        Ok([Self::diffuse(Vec3::ZERO), Self::specular(color_of(color)?), Self::roughness(roughness)])
+    }
+
+    /// The edits that make the whole object plastic of a color, `#rrggbb` in sRGB, and of a
+    /// roughness in [0.03, 1].
+    ///
+    /// # Errors
+    /// If the color is written in another way.
+    pub fn plastic(color: &str, roughness: f32) -> Result<[Self; 3]> {
+        let gray = Self::specular(Vec3::splat(0.04));
+        Ok([Self::diffuse(color_of(color)?), gray, Self::roughness(roughness)])
+    }
+
+    /// Sets the diffuse albedo, linear RGB in [0, 1], everywhere.
+    pub fn diffuse(color: Vec3) -> Self {
+        Self::Diffuse { action: ColorAction::Set(color), region: Region::All }
+    }
+
+    /// Sets the specular albedo, linear RGB in [0, 1], everywhere.
+    pub fn specular(color: Vec3) -> Self {
+        Self::Specular { action: ColorAction::Set(color), region: Region::All }
+    }
+
+    /// Sets the roughness, in [0.03, 1], everywhere.
+    pub fn roughness(roughness: f32) -> Self {
+        Self::Roughness { action: ScalarAction::Set(roughness), region: Region::All }
+    }
+
     /// Where the edit applies.
     pub fn region(&self) -> &Region {
         let (Self::Diffuse { region, .. } | Self::Specular { region, .. } | Self::Roughness { region, .. }) =
             self;
         region
     }
+}
+
+/// The linear color of `#rrggbb`.
+fn color_of(text: &str) -> Result<Vec3> {
+    let digits = text.strip_prefix('#').filter(|digits| digits.len() == 6);
+    let value = digits.and_then(|digits| u32::from_str_radix(digits, 16).ok()).ok_or_else(|| {
+        Error::usage(format!("`{text}` is no color"), "Write it as #rrggbb, such as #d4af37 for gold.")
+    })?;
+    let channel = |shift: u32| linear_from_srgb((value >> shift & 255) as f32 / 255.0);
+    Ok(Vec3::new(channel(16), channel(8), channel(0)))
 }
 
 /// Change of a color; results are clamped to [0, 1].

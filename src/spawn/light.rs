@@ -21,8 +21,33 @@ pub struct LoadedLight {
     pub lobes: Vec<LightLobe>,
     /// The map, if that is what was given.
     pub map: Option<Arc<MapLight>>,
+    /// What says it; `None` of one that was made in memory.
+    pub source: Option<LightSource>,
     /// Repairs made on reading.
     pub notes: Vec<String>,
+}
+
+impl LoadedLight {
+    /// A light of lobes.
+    pub fn of_lobes(lobes: Vec<LightLobe>) -> Self {
+        Self { lobes, map: None, source: None, notes: Vec::new() }
+    }
+
+    /// Reads an environment map, EXR or HDR, and fits lobes to it.
+    ///
+    /// # Errors
+    /// If the file is missing or wrong.
+    pub fn map(path: impl Into<PathBuf>) -> Result<Self> {
+        load_light(&LightSource::Map {
+            path: path.into(),
+            scale: 1.0,
+            rotation_degrees: Vec3::ZERO,
+            lobes: 128,
+            convention: MapConvention::default(),
+            upper_hemisphere: false,
+            white: false,
+        })
+    }
 }
 
 /// Reads (and for a map, fits) a light.
@@ -34,9 +59,9 @@ pub fn load_light(source: &LightSource) -> Result<LoadedLight> {
     let turn = rotation(degrees);
     let given = |lobes: &[LightLobe]| {
         let lobes = rotate_lobes(&scale_lobes(lobes, Vec3::splat(scale)), turn);
-        LoadedLight { lobes, map: None, notes: Vec::new() }
+        LoadedLight::of_lobes(lobes)
     };
-    let light = match source {
+    let mut light = match source {
         LightSource::Ron { path, .. } => return load_light(&inlined(path, scale, degrees)?),
         LightSource::Lobes { lobes, .. } => {
             let unit = lobes.iter().map(|l| LightLobe { axis: l.axis.normalize_or(l.axis), ..*l });
@@ -52,10 +77,12 @@ pub fn load_light(source: &LightSource) -> Result<LoadedLight> {
             validate_map(&map).map_err(|problem| unusable(format!("{}: {problem}", path.display())))?;
             let fitted = fit_map_with(&map, *lobes as usize, &options, &mut |_| {}, &is_stopping)?.lobes;
             let map = if degrees == Vec3::ZERO { map } else { map.rotated(turn) };
-            LoadedLight { lobes: rotate_lobes(&fitted, turn), map: Some(Arc::new(MapLight::new(map))), notes }
+            let (lobes, map) = (rotate_lobes(&fitted, turn), Some(Arc::new(MapLight::new(map))));
+            LoadedLight { lobes, map, source: None, notes }
         }
     };
     validate_lobes(&light.lobes).map_err(unusable)?;
+    light.source = Some(source.clone());
     Ok(light)
 }
 

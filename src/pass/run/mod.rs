@@ -18,28 +18,27 @@ pub mod summary;
 mod tests;
 
 use crate::object::Object;
-use crate::object::photograph::{camera_of, imagine};
-use crate::object::progress::{Bar, Progress, RecordedMessages, Step};
-use crate::pass::{evaluate, export, fit, render, save, shape, view};
-use crate::scene::{
-    CameraSpec, LightSource, Pass, Scene, Surface as SurfaceSpec, ViewPass, Views, unknown_parts,
-};
+use crate::object::photograph::imagine;
+use crate::object::progress::{Progress, RecordedMessages, Step};
+use crate::pass::{evaluate, fit, render, shape, view};
+use crate::scene::{LightSource, Pass, Scene, ViewPass, Views, unknown_parts};
+use crate::spawn::{SurfaceUse, load_light, make_surface};
 use crate::survey::{Severity, Survey, open::OpenScene};
-use crate::{report::scores::peak_rss_mib, scene::load::LoadedScene, spawn::SurfaceUse, spawn::load_light};
+use crate::{
+    capture::bare_views, capture::read_views, report::scores::peak_rss_mib, scene::load::LoadedScene,
+};
 use bevy_ecs::prelude::World;
 use lobelia_geometry::error::stop::{check_interrupted, finish_stopping, stopped_by};
-use lobelia_geometry::parallel;
 use lobelia_geometry::view::look::ViewLook;
 use lobelia_geometry::{error::Error, error::Result, view::ViewRecord};
 use lobelia_io::codec::file::{FolderLock, check_writable, clear_scratch};
-use lobelia_io::dataset::load_notes;
 use lobelia_solve::{fit::ObjectTurned, fit::guard::StepGuard, shade::device::ShadingDevice};
 use lobelia_world::checkpoint::{Checkpoints, keep_pass};
 use preflight::Watched;
 use record::{Claim, RunRecord, RunState};
 use resume::RunStart;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::{borrow::Cow, ops::ControlFlow, path::Path, path::PathBuf, time::Duration};
+use std::{borrow::Cow, path::Path, path::PathBuf, time::Duration};
 use summary::Reporter;
 use tracing::info_span;
 
@@ -70,56 +69,6 @@ pub struct RunOptions {
 /// The scores of a run, in its output folder.
 pub(crate) const METRICS: &str = "metrics.json";
 
-/// What a run does with what its object says, besides passing it on: it keeps the lines for its
-/// record, and shows steps.
-struct RunProgress {
-    told: RecordedMessages,
-    reporter: Mutex<Reporter>,
-    out: PathBuf,
-    debug_every: Option<u32>,
-}
-
-impl RunProgress {
-    fn new(to: Arc<dyn Progress>, options: &RunOptions) -> Self {
-        Self {
-            told: RecordedMessages::new(to),
-            reporter: Mutex::new(Reporter::new(options.live)),
-            out: options.out.clone(),
-            debug_every: options.debug_every,
-        }
-    }
-
-    fn reporter(&self) -> MutexGuard<'_, Reporter> {
-        self.reporter.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Progress for RunProgress {
-    fn note(&self, text: &str) {
-        self.told.note(text);
-    }
-
-    fn print(&self, text: &str) {
-        self.told.print(text);
-    }
-
-    fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
-        self.told.bar(title, length)
-    }
-
-    fn pass(&self, name: &str, number: usize, count: usize) {
-        self.told.pass(name, number, count);
-    }
-
-    fn step(&self, at: &Step, world: &mut World) -> Result<ControlFlow<()>> {
-        self.reporter().step(&self.out, at, world);
-        if self.debug_every.is_some_and(|every| at.fit.step.is_multiple_of(every)) {
-            shape::look(&self.out, at, world)?;
-        }
-        self.told.step(at, world)
-    }
-}
-
 /// Runs the passes of a scene in order, and reports to `progress`. What will be written is known
 /// before anything is read, and `OUT/run.json` says how far the run is.
 ///
@@ -130,9 +79,17 @@ impl Progress for RunProgress {
 /// earlier run, if another run writes into the output folder, or if a run is to go on with
 /// something else than it was begun with.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn Progress>) -> Result<()> {
-    let told = Arc::new(RunProgress::new(progress, options));
+    let RunOptions { out, resume, debug_every, .. } = options;
+    // Steps are shown in the report, if that is watched, and by the pictures of `debug_every`.
+    let reporter = Arc::new(Mutex::new(Reporter::new(options.live)));
+    let (live, folder, every) = (reporter.clone(), out.clone(), *debug_every);
+    let show = move |at: &Step, world: &mut World| {
+        locked(&live).step(&folder, at, world);
+        let is_shown = every.is_some_and(|every| at.fit.step.is_multiple_of(every));
+        if is_shown { shape::look(&folder, at, world) } else { Ok(()) }
+    };
+    let told = Arc::new(RecordedMessages::new(progress).watching(Box::new(show)));
     let progress: &dyn Progress = &*told;
-    let RunOptions { out, resume, .. } = options;
 
     // The folder: may this run write there, and is there one to go on with?
     resume::check_folder(out)?;
@@ -168,8 +125,10 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn Progres
     let is_draft = matches!(scene.passes.first(), Some(Pass::Shape(_)));
     let use_of = if is_draft { SurfaceUse::UntilShape } else { SurfaceUse::Lasting };
     let scene = scene.into_owned();
-    let listener: Arc<dyn Progress> = told.clone();
-    let mut object = Object::open(scene, views, options.device.clone(), listener, use_of, true)?;
+    let (surface, notes) = make_surface(&scene.surface, &views, use_of)?;
+    notes.iter().for_each(|note| progress.note(note));
+    let mut object = Object::of_scene(scene, surface, views, told.clone(), true)?;
+    options.device.clone().into_iter().for_each(|device| object.pipeline.world.insert_resource(device));
     preflight::check_passes(&mut object)?;
     if let Some(survey) = survey {
         let warnings = survey.findings_of(Severity::Warning);
@@ -207,20 +166,21 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn Progres
     };
     let is_new = begun.is_none();
     let start = begun.unwrap_or(now);
-    let mut record = claim.begin(loaded, &options.arguments, start.clone(), told.told.take(), done)?;
+    let record = claim.begin(loaded, &options.arguments, start.clone(), told.take(), done)?;
+    let mut run = Run { out, told: &told, reporter: &reporter, watched, record };
     if is_new {
         resume::take_up(&mut object, out, &start, false, every)?;
     }
 
     // The passes, and how the run ends. One that is not said to have finished needs its
     // checkpoints. The folder is its own until its report says how it ended.
-    let ended = run_passes(&mut object, &watched, &mut record, &told, done);
+    let ended = run_passes(&mut object, &mut run, done);
     let finished = write_scores(&mut object, out);
     if finished.is_ok() {
         progress.print(&object.scores().table());
         progress.print(&format!("Results are in {}.", out.display()));
     }
-    let ended = record.end(ended.and(finished));
+    let ended = run.record.end(ended.and(finished));
     let cleared = if ended.is_ok() { resume::clear(out) } else { Ok(()) };
     if ended.is_err() {
         if let Some(signal) = stopped_by() {
@@ -228,20 +188,35 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn Progres
         }
         progress.print("The same command with --resume goes on from the last checkpoint.");
     }
-    ended.and(told.reporter().write(out)).and(cleared)
+    ended.and(run.report()).and(cleared)
+}
+
+/// What surrounds the passes of a run.
+struct Run<'a> {
+    out: &'a Path,
+    told: &'a RecordedMessages,
+    reporter: &'a Mutex<Reporter>,
+    /// The files that passes read when they run, as they were when the run began.
+    watched: Watched,
+    record: RunRecord,
+}
+
+impl Run<'_> {
+    /// Writes the report.
+    fn report(&self) -> Result<()> {
+        locked(self.reporter).write(self.out)
+    }
+}
+
+fn locked(reporter: &Mutex<Reporter>) -> MutexGuard<'_, Reporter> {
+    reporter.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Runs all passes after the first `done`, but those that need one that failed; scores and report
 /// are written after each. Once the run is asked to stop, only what was found until then is
 /// written: scored, saved and exported.
-fn run_passes(
-    object: &mut Object,
-    watched: &Watched,
-    record: &mut RunRecord,
-    told: &RunProgress,
-    done: usize,
-) -> Result<()> {
-    let (scene, out) = (object.scene(), &told.out);
+fn run_passes(object: &mut Object, run: &mut Run, done: usize) -> Result<()> {
+    let (scene, out, told) = (object.scene(), run.out, run.told);
     let passes = &scene.passes;
     // Those that failed or need one that did, and those that were stopped before their end.
     let (mut failed, mut stopped): (Vec<&Pass>, Vec<&Pass>) = Default::default();
@@ -249,13 +224,13 @@ fn run_passes(
     if done > 0 {
         write_scores(object, out)?;
     }
-    told.reporter().write(out)?;
+    run.report()?;
     for (index, pass) in passes.iter().enumerate().skip(done) {
         let name = pass.name();
         if let Some(needed) = failed.iter().find(|failed| needs(pass, failed)) {
             told.note(&format!("pass {name} is left out: it needs {}", needed.name()));
             failed.push(pass);
-            record.pass(index, RunState::Skipped, told.told.take())?;
+            run.record.pass(index, RunState::Skipped, told.take())?;
             continue;
         }
         if stopped_by().is_some() {
@@ -266,10 +241,10 @@ fn run_passes(
             // The run may have been asked between two passes.
             finish_stopping();
         }
-        record.pass(index, RunState::Running, Vec::new())?;
+        run.record.pass(index, RunState::Running, Vec::new())?;
         told.pass(name, index + 1, passes.len());
         let at_work = info_span!("pass", name = %format_args!("pass {name}")).entered();
-        let ended = run_pass(object, out, watched, pass);
+        let ended = run_pass(object, run, pass);
         drop(at_work);
         finish_stopping();
         let state = RunState::of(&ended);
@@ -287,10 +262,11 @@ fn run_passes(
         }
         // On a full disk this fails as well, and ends the run.
         let _after = info_span!("scores, report, checkpoint").entered();
-        let recorded = record
-            .pass(index, state, told.told.take())
+        let recorded = run
+            .record
+            .pass(index, state, told.take())
             .and_then(|()| write_scores(object, out))
-            .and_then(|()| told.reporter().write(out));
+            .and_then(|()| run.report());
         if recorded.is_err() {
             return first.map_or(recorded, Err);
         }
@@ -322,7 +298,8 @@ fn needs(pass: &Pass, failed: &Pass) -> bool {
     matches!(failed, Pass::Fit(_) | Pass::Shape(_)) || scores(pass, failed)
 }
 
-fn run_pass(object: &mut Object, out: &Path, watched: &Watched, pass: &Pass) -> Result<()> {
+fn run_pass(object: &mut Object, run: &Run, pass: &Pass) -> Result<()> {
+    let out = run.out;
     match pass {
         Pass::Fit(pass) => fit::run(object, out, pass),
         Pass::Shape(pass) => shape::run(object, out, pass),
@@ -330,11 +307,20 @@ fn run_pass(object: &mut Object, out: &Path, watched: &Watched, pass: &Pass) -> 
         Pass::Evaluate(pass) => {
             // A truth that has changed is told of, instead of scores that are half of one and half
             // of the other.
-            watched.check()?;
+            run.watched.check()?;
             evaluate::run(object, out, pass)
         }
-        Pass::Save(pass) => save::run(object, out, pass),
-        Pass::Export(pass) => export::run(object, out, pass),
+        Pass::Save(pass) => {
+            let folder = out.join(&pass.name);
+            object.shown_by(pass.of.as_deref()).save(&folder)?;
+            object.print(&format!("{}: {}", pass.name, folder.join("scene.ron").display()));
+            Ok(())
+        }
+        Pass::Export(pass) => {
+            let written = object.shown_by(pass.of.as_deref()).export_as(pass, &out.join(&pass.name))?;
+            written.iter().for_each(|path| object.print(&format!("{}: {}", pass.name, path.display())));
+            Ok(())
+        }
         Pass::View(pass) => view::run(object, out, pass),
     }
 }
@@ -383,7 +369,9 @@ pub fn write_view(
         }
     };
     let out = path.parent().unwrap_or(Path::new("")).to_owned();
-    let mut object = Object::open(scene, views, None, progress, SurfaceUse::Lasting, false)?;
+    let (surface, notes) = make_surface(&scene.surface, &views, SurfaceUse::Lasting)?;
+    notes.iter().for_each(|note| progress.note(note));
+    let mut object = Object::of_scene(scene, surface, views, progress, false)?;
     view::write_page(&mut object, &out, pass, named, path)
 }
 
@@ -398,47 +386,10 @@ pub fn rehearse(scene: &Scene, mut views: Vec<ViewRecord>, progress: Arc<dyn Pro
     if let Views::Cameras(specs) = &scene.views {
         views = bare_views(specs)?;
     }
-    let mut object = Object::open(scene.clone(), views, None, progress, SurfaceUse::Checks, false)?;
+    let (surface, notes) = make_surface(&scene.surface, &views, SurfaceUse::Checks)?;
+    notes.iter().for_each(|note| progress.note(note));
+    let mut object = Object::of_scene(scene.clone(), surface, views, progress, false)?;
     preflight::check_passes(&mut object)
-}
-
-/// Reads the views that do not depend on the object; rendered photographs come later. Those of a
-/// data set that passes learn from or are scored against are surveyed: a warning is a note, the
-/// first error ends the run.
-///
-/// # Errors
-/// [`Error::Usage`] for the first thing that cannot work; those of reading photographs and masks.
-fn read_views(
-    scene: &Scene,
-    data: Option<&OpenScene>,
-    progress: &dyn Progress,
-) -> Result<(Vec<ViewRecord>, Option<Survey>)> {
-    let _reading = info_span!("photographs read").entered();
-    let data = match (&scene.views, data) {
-        (Views::Dataset(_), Some(data)) => data,
-        (Views::Cameras(specs), _) => return Ok((bare_views(specs)?, None)),
-        (Views::Photographed(_) | Views::Dataset(_), _) => return Ok((Vec::new(), None)),
-    };
-    let learns = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_) | Pass::Evaluate(_));
-    let is_used = matches!(scene.surface, SurfaceSpec::Unknown { .. }) || scene.passes.iter().any(learns);
-    let bar = progress.bar("photographs", data.views.len() as u64);
-    let read: Vec<Result<_>> = parallel::map_slice(&data.views, 1, |view| {
-        check_interrupted()?;
-        let loaded = data.load(view)?;
-        let look = is_used.then(|| data.look(view, &loaded));
-        bar.inc(1);
-        Ok((loaded, look))
-    });
-    // The first error, in the order of the views, ends it.
-    let (loaded, looks): (Vec<_>, Vec<_>) = read.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
-    bar.finish_and_clear();
-    data.notes.iter().chain(&load_notes(&loaded)).for_each(|note| progress.note(note));
-    let survey = is_used.then(|| data.examine(looks.into_iter().flatten().collect())).transpose()?;
-    if let Some(survey) = &survey {
-        survey.findings_of(Severity::Warning).for_each(|warning| progress.note(&warning.problem));
-        survey.findings_of(Severity::Error).next().map_or(Ok(()), |error| Err(error.to_error()))?;
-    }
-    Ok((loaded.into_iter().map(|view| view.record).collect(), survey))
 }
 
 /// The views of a scene as a survey has seen them; those that are not of a data set are known by
@@ -456,9 +407,4 @@ pub fn looks<'a>(scene: &Scene, survey: Option<&'a Survey>) -> Result<Cow<'a, [V
         Views::Dataset(_) => Vec::new(),
     };
     Ok(views.iter().map(ViewLook::unseen).collect())
-}
-
-fn bare_views(specs: &[CameraSpec]) -> Result<Vec<ViewRecord>> {
-    let view = |of: &CameraSpec| Ok(ViewRecord::of_camera(of.name.clone(), of.split, camera_of(of)?));
-    specs.iter().map(view).collect()
 }

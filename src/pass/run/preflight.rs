@@ -2,11 +2,10 @@
 //! or a missing ground truth is an error at the start, not after a long fit. `lobelia check` makes
 //! the same checks.
 
-use crate::object::{Object, photograph::ring, show::apply_edits, show::edits_of_nothing};
+use crate::object::{Object, export, photograph::ring, show::apply_edits, show::edits_of_nothing};
 use crate::pass::{
-    evaluate::PARTS, evaluate::read_fitting, export, fit::TRUE_ENVIRONMENT, fit::light_files,
-    render::FILM_FILES, render::chosen_stems, render::chosen_views, run::record::PassRecord, view::PAGE,
-    view_report::VIEWS,
+    evaluate::PARTS, evaluate::read_fitting, fit::TRUE_ENVIRONMENT, fit::light_files, render::FILM_FILES,
+    render::chosen_stems, render::chosen_views, run::record::PassRecord, view::PAGE, view_report::VIEWS,
 };
 use crate::scene::{
     EvaluatePass, Gloss, LayerTruth, LightSource, Pass, PlacementLight, RenderSettings, Scene, Truth,

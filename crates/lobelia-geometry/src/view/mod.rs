@@ -130,6 +130,16 @@ impl ViewRecord {
         let (priors, placement) = (ViewPriors::default(), Placement::default());
         Self { name, split, camera, photograph: None, mask: None, priors, placement }
     }
+
+    /// The view with a rendered picture as its photograph and mask.
+    #[must_use]
+    pub fn with_frame(self, frame: Frame) -> Self {
+        let Camera { width, height, .. } = self.camera;
+        let image = Image { width, height, pixels: frame.color };
+        let mask = Mask { width, height, coverage: frame.alpha };
+        let (photograph, mask) = (Some(Photograph::of_image(&image)), Some(StoredMask::new(&mask)));
+        Self { photograph, mask, ..self }
+    }
 }
 
 /// Spawns views, numbered on from those that are there.

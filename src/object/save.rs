@@ -1,10 +1,9 @@
-//! The `Save` pass: writes the object as a scene file.
+//! An object as a scene file, which [`open`](Object::open) and `lobelia run` read.
 
-use crate::object::{Object, photograph::ring, show::material_of};
+use crate::object::{Object, photograph::ring, show::Appearance};
 use crate::scene::{
     Albedo, AlbedoSource, Dataset, Gloss, Light, LightSource, Material, NdfChoice, Pass, PlacementLight,
-    PlacementSpec, Roughness, SavePass, Scene, Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt,
-    Views,
+    PlacementSpec, Roughness, Scene, Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt, Views,
 };
 use crate::{scene::load::to_ron, spawn::light::angles, spawn::light::inlined};
 use bevy_ecs::prelude::World;
@@ -16,9 +15,7 @@ use lobelia_io::{codec::exr_frame::write_channels, codec::gltf::export::write_gl
 use lobelia_sg::brdf::Ndf;
 use lobelia_solve::fit::cameras::CameraFit;
 use lobelia_world::light::placement::{PlacementTurn, Placements, TurnSource};
-use lobelia_world::light::{
-    LightLobe, groups::lobes_of_group, light_frame::OwnLightFrame, lights::named_light, lights::own_lobes,
-};
+use lobelia_world::light::{LightLobe, groups::lobes_of_group, light_frame::OwnLightFrame};
 use lobelia_world::material::sheen::has_sheen;
 use lobelia_world::material::{SpecularBlend, SpecularLobe, edit::MaterialState, tilt::has_tilt};
 use std::path::{Path, PathBuf};
@@ -26,60 +23,68 @@ use std::path::{Path, PathBuf};
 /// Channels of colors.
 pub(crate) const RGB: [&str; 3] = ["R", "G", "B"];
 
-/// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object with the recovered
-/// material and light, or those of the pass `of`, all fixed, with the scene's views (without the
-/// optimized poses of training views).
-pub(crate) fn run(object: &mut Object, out: &Path, pass: &SavePass) -> Result<()> {
-    let folder = out.join(&pass.name);
-    let material = material_of(object, pass.of.as_deref())?;
-    let (scene, surface) = (object.scene(), object.surface());
-    let atlas = surface.atlas();
-    write_glb(&folder.join("mesh.glb"), surface.mesh(), None)?;
-    let material = write_material(&folder, &material, atlas)?;
-    // The light of the pass `of` if it has one.
-    let of_pass = scene.pass_named(pass.of.as_deref()).and_then(Pass::light);
-    let relit = of_pass.is_some();
-    let fixed = match &scene.light {
-        Light::Fixed(source) => Some(source),
-        Light::Unknown(_) | Light::Initial(_) => None,
-    };
-    let given = of_pass.or(fixed).cloned();
-    let world = &mut object.pipeline.world;
-    let named = named_light(world, pass.of.as_deref().unwrap_or_default());
-    let lobes = named.map_or_else(|| own_lobes(world), |(lobes, _)| lobes);
-    let light = save_source(given, &lobes, &folder.join("light"))?;
-    let own = world.get_resource::<OwnLightFrame>().filter(|_| !relit);
-    let frame = own.map(|own| own.0).unwrap_or_default();
-    // With absolute paths; rendered photographs become cameras only, of the object in its first
-    // placement. An object that is relit lies in its new light the same in all.
-    let views = match &scene.views {
-        Views::Dataset(spec) => {
-            let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
-            let found = world.get_resource::<CameraFit>();
-            let focal_scale = spec.focal_scale * found.map_or(1.0, CameraFit::focal_factor);
-            // All is known: nothing is left that prior maps would say.
-            let priors = Priors::default();
-            let placements = if relit { Vec::new() } else { placements_found(world, spec, &folder)? };
-            Views::Dataset(Dataset { path, focal_scale, priors, placements, ..spec.clone() })
-        }
-        Views::Cameras(cameras) => Views::Cameras(cameras.clone()),
-        Views::Photographed(spec) => Views::Cameras(ring(&spec.cameras, scene.up)),
-    };
-    let texture_size = atlas.width;
-    let saved = Scene {
-        surface: SurfaceSpec::Mesh { path: "mesh.glb".into(), texture_size, own_material: false },
-        views,
-        light: Light::Fixed(light),
-        light_frame: frame.into(),
-        material,
-        passes: scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
-        ..Scene::clone(&scene)
-    };
-    let text = to_ron(&saved)?;
-    let text = format!("// Saved by Lobelia. Run it again with: lobelia run scene.ron\n{text}\n");
-    write_bytes(&folder.join("scene.ron"), text.as_bytes())?;
-    object.print(&format!("{}: {}", pass.name, folder.join("scene.ron").display()));
-    Ok(())
+impl Object {
+    /// Writes the object as [`Appearance::save`] does.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn save(&mut self, folder: impl AsRef<Path>) -> Result<()> {
+        self.shown().save(folder)
+    }
+}
+
+impl Appearance<'_> {
+    /// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy` into a folder: the object with
+    /// the material and light that are shown, all fixed, with the scene's views (without the
+    /// optimized poses of training views).
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn save(&mut self, folder: impl AsRef<Path>) -> Result<()> {
+        let folder = folder.as_ref();
+        let material = self.material()?;
+        let (scene, surface) = (self.object.scene(), self.object.surface());
+        let atlas = surface.atlas();
+        write_glb(&folder.join("mesh.glb"), surface.mesh(), None)?;
+        let material = write_material(folder, &material, atlas)?;
+        let fixed = match &scene.light {
+            Light::Fixed(source) => Some(source.clone()),
+            Light::Unknown(_) | Light::Initial(_) => None,
+        };
+        let relit = self.relit.is_some();
+        let light = save_source(self.relit.clone().unwrap_or(fixed), &self.light().0, &folder.join("light"))?;
+        let world = &mut self.object.pipeline.world;
+        let own = world.get_resource::<OwnLightFrame>().filter(|_| !relit);
+        let frame = own.map(|own| own.0).unwrap_or_default();
+        // With absolute paths; rendered photographs become cameras only, of the object in its first
+        // placement. An object that is relit lies in its new light the same in all.
+        let views = match &scene.views {
+            Views::Dataset(spec) => {
+                let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
+                let found = world.get_resource::<CameraFit>();
+                let focal_scale = spec.focal_scale * found.map_or(1.0, CameraFit::focal_factor);
+                // All is known: nothing is left that prior maps would say.
+                let priors = Priors::default();
+                let placements = if relit { Vec::new() } else { placements_found(world, spec, folder)? };
+                Views::Dataset(Dataset { path, focal_scale, priors, placements, ..spec.clone() })
+            }
+            Views::Cameras(cameras) => Views::Cameras(cameras.clone()),
+            Views::Photographed(spec) => Views::Cameras(ring(&spec.cameras, scene.up)),
+        };
+        let texture_size = atlas.width;
+        let saved = Scene {
+            surface: SurfaceSpec::Mesh { path: "mesh.glb".into(), texture_size, own_material: false },
+            views,
+            light: Light::Fixed(light),
+            light_frame: frame.into(),
+            material,
+            passes: scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
+            ..Scene::clone(&scene)
+        };
+        let text = to_ron(&saved)?;
+        let text = format!("// Saved by Lobelia. Run it again with: lobelia run scene.ron\n{text}\n");
+        write_bytes(&folder.join("scene.ron"), text.as_bytes())
+    }
 }
 
 /// Writes the textures of a material into a folder; returns it as in a scene file there, all fixed.

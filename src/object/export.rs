@@ -1,16 +1,17 @@
-//! The `Export` pass: the object as a mesh for other programs, with fewer triangles if asked, and
-//! the light beside it as environment maps.
+//! An object as a mesh for other programs, with fewer triangles if asked, and the light beside it
+//! as environment maps.
 
-use crate::object::{Object, fit::carried_blends, show::material_of};
+use crate::object::{Object, fit::carried_blends, show::Appearance};
 use crate::scene::{ExportPass, ExportScale, ExportUp, Light, MeshFormat, Pass};
 use bevy_ecs::prelude::World;
 use glam::{Mat3, Quat, Vec3};
 use image::ExtendedColorType;
+use lobelia_geometry::error::{Error, Result};
 use lobelia_geometry::mesh::tangents::{relative_normals, texel_frames, vertex_tangents};
 use lobelia_geometry::mesh::{Surface, atlas::fill_uncovered, atlas::unwrap_mesh, decimate::decimate};
 use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Camera, Placement, ViewName};
-use lobelia_geometry::{error::Result, mesh::nearest::NearestTriangle, mesh::triangles::Mesh};
+use lobelia_geometry::{mesh::nearest::NearestTriangle, mesh::triangles::Mesh};
 use lobelia_io::codec::gltf::material::{
     Dielectric, GltfMaterial, GltfReflectance, GltfTable, LobeReflectance,
 };
@@ -21,49 +22,91 @@ use lobelia_io::codec::{
 };
 use lobelia_sg::{color::srgb_from_linear, ray::Hit, reflectance::ANGLES, sg::sphere_integral};
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
-use lobelia_world::light::lights::{named_light, own_lobes, own_map};
 use lobelia_world::light::{EnvironmentMap, LightLobe, render_lobes, rotate_lobes};
 use lobelia_world::material::{SpecularBlend, SpecularLobe, edit::MaterialState};
 use lobelia_world::{light::convention::MapConvention, material::sheen::mean_albedo};
-use std::{f32::consts::TAU, path::Path, sync::Arc};
+use std::{f32::consts::TAU, path::Path, path::PathBuf, sync::Arc};
 
 /// Texture files of a USD file.
 const BASE_COLOR: &str = "mesh_base_color.png";
 const REFLECTANCE: &str = "mesh_reflectance.png";
 const ROUGHNESS: &str = "mesh_roughness.png";
 
-/// Writes the object in the formats that the pass names.
-pub(crate) fn run(object: &mut Object, out: &Path, pass: &ExportPass) -> Result<()> {
-    let material = material_of(object, pass.of.as_deref())?;
-    let mut exported = Exported::new(object.surface(), material);
-    if let Some(target) = pass.triangles.filter(|&n| (n as usize) < exported.surface.mesh().triangles.len()) {
-        exported = exported.coarser(target as usize)?;
+impl Object {
+    /// Writes the object as [`Appearance::export`] does.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn export(&mut self, path: impl AsRef<Path>) -> Result<()> {
+        self.shown().export(path)
     }
-    let (mesh, turn, up) = transformed(object.scene().up, pass, exported.surface.mesh());
-    let folder = out.join(&pass.name);
-    let light = environment(object, pass, turn);
-    for (map, (name, convention)) in light.iter().flat_map(|map| MAPS.map(|file| (map, file))) {
-        write_map_hdr(&convention.from_lobelia(map.clone()), &folder.join(name))?;
-    }
-    for format in &pass.formats {
-        let path = folder.join(file_of(*format));
-        match format {
-            MeshFormat::Glb => write_glb(&path, &mesh, Some(&gltf(&exported)?)),
-            MeshFormat::Usda => {
-                // The map of the light is in the convention of three.js.
-                let light = light.as_ref().map(|_| (LIGHT, LIGHT_TURN));
-                write_usda(&path, &mesh, &usd(&exported)?, up, light)
-            }
-            MeshFormat::Usdz => write_usdz(&path, &mesh, &usd(&exported)?, up),
-        }?;
-        object.print(&format!("{}: {}", pass.name, path.display()));
-    }
-    if pass.formats.contains(&MeshFormat::Glb) {
-        let page = page(file_of(MeshFormat::Glb), light.map(|_| LIGHT));
-        write_bytes(&folder.join(MODEL_PAGE), page.as_bytes())?;
-    }
-    Ok(())
 }
+
+impl Appearance<'_> {
+    /// Writes the mesh with the material that is shown, in the format of the file's ending: `.glb`,
+    /// `.usdz`, or `.usda` with its textures beside it.
+    ///
+    /// # Errors
+    /// If the ending is another, or the file cannot be written.
+    pub fn export(&mut self, path: impl AsRef<Path>) -> Result<()> {
+        let path = path.as_ref();
+        let named = |format: &MeshFormat| Path::new(file_of(*format)).extension() == path.extension();
+        let format = FORMATS.into_iter().find(named).ok_or_else(|| {
+            let problem = format!("{} is no format of a mesh", path.display());
+            Error::usage(problem, "Give a file that ends with .glb, .usda or .usdz.")
+        })?;
+        let exported = Exported::new(self.object.surface(), self.material()?);
+        let (mesh, _, up) =
+            transformed(self.object.scene().up, &ExportPass::default(), exported.surface.mesh());
+        exported.write(format, path, &mesh, up, None)
+    }
+
+    /// Writes the formats and the light of a pass into its folder; returns the files of the formats.
+    pub(crate) fn export_as(&mut self, pass: &ExportPass, folder: &Path) -> Result<Vec<PathBuf>> {
+        let mut exported = Exported::new(self.object.surface(), self.material()?);
+        let triangles = exported.surface.mesh().triangles.len();
+        if let Some(target) = pass.triangles.filter(|&target| (target as usize) < triangles) {
+            exported = exported.coarser(target as usize)?;
+        }
+        let (mesh, turn, up) = transformed(self.object.scene().up, pass, exported.surface.mesh());
+        let light = self.environment(pass, turn);
+        for (map, (name, convention)) in light.iter().flat_map(|map| MAPS.map(|file| (map, file))) {
+            write_map_hdr(&convention.from_lobelia(map.clone()), &folder.join(name))?;
+        }
+        let mut files = Vec::new();
+        for format in &pass.formats {
+            let path = folder.join(file_of(*format));
+            // The map of the light is in the convention of three.js.
+            exported.write(*format, &path, &mesh, up, light.as_ref().map(|_| (LIGHT, LIGHT_TURN)))?;
+            files.push(path);
+        }
+        if pass.formats.contains(&MeshFormat::Glb) {
+            let page = page(file_of(MeshFormat::Glb), light.map(|_| LIGHT));
+            write_bytes(&folder.join(MODEL_PAGE), page.as_bytes())?;
+        }
+        Ok(files)
+    }
+
+    /// The light that is shown, turned as the object, as a map: the given one, or the lobes'
+    /// radiance; `None` if there is none yet.
+    fn environment(&mut self, pass: &ExportPass, turn: Quat) -> Option<EnvironmentMap> {
+        let (scene, (lobes, map)) = (self.object.scene(), self.light());
+        let is_relit = self.relit.is_some();
+        // The lobes of a light that is found differ from the map that they were initialized from.
+        let map = map.filter(|_| is_relit || matches!(scene.light, Light::Fixed(_)));
+        let turn = if is_relit { turn } else { turn * own_turn(&mut self.object.pipeline.world) };
+        let mut earlier = scene.passes.iter().take_while(|other| other.name() != pass.name);
+        let is_found = is_relit
+            || !matches!(scene.light, Light::Unknown(_))
+            || earlier.any(|other| matches!(other, Pass::Fit(_) | Pass::Shape(_)));
+        match map {
+            Some(map) => Some(turned_map(map.map(), turn)),
+            None => is_found.then(|| map_of_lobes(&lobes, turn)),
+        }
+    }
+}
+
+const FORMATS: [MeshFormat; 3] = [MeshFormat::Glb, MeshFormat::Usda, MeshFormat::Usdz];
 
 /// The file of a format, beside its textures.
 fn file_of(format: MeshFormat) -> &'static str {
@@ -226,28 +269,6 @@ const MAPS: [(&str, MapConvention); 2] =
 /// Width of the maps in texels, twice their height.
 const WIDTH: u32 = 1024;
 
-/// The light that the pass shows, turned as the object, as a map: the given one, or the lobes'
-/// radiance; `None` if there is none yet.
-fn environment(object: &mut Object, pass: &ExportPass, turn: Quat) -> Option<EnvironmentMap> {
-    let (scene, world) = (object.scene(), &mut object.pipeline.world);
-    if let Some((lobes, map)) = named_light(world, pass.of.as_deref().unwrap_or_default()) {
-        return Some(match map {
-            Some(map) => turned_map(map.map(), turn),
-            None => map_of_lobes(&lobes, turn),
-        });
-    }
-    let mut earlier = scene.passes.iter().take_while(|other| other.name() != pass.name);
-    let is_found = !matches!(scene.light, Light::Unknown(_))
-        || earlier.any(|other| matches!(other, Pass::Fit(_) | Pass::Shape(_)));
-    let fixed = matches!(scene.light, Light::Fixed(_));
-    let given = own_map(world).filter(|_| fixed);
-    let turn = turn * own_turn(world);
-    match given {
-        Some(map) => Some(turned_map(map.map(), turn)),
-        None => is_found.then(|| map_of_lobes(&own_lobes(world), turn)),
-    }
-}
-
 /// The rotation of the own light into the world. One that goes with the camera stands as the first
 /// view has it.
 fn own_turn(world: &mut World) -> Quat {
@@ -306,6 +327,22 @@ struct TexelMaterial {
 }
 
 impl Exported {
+    /// Writes a file, of USD text beside a light with this name and turn.
+    fn write(
+        &self,
+        format: MeshFormat,
+        path: &Path,
+        mesh: &Mesh,
+        up: UpAxis,
+        light: Option<(&str, f32)>,
+    ) -> Result<()> {
+        match format {
+            MeshFormat::Glb => write_glb(path, mesh, Some(&gltf(self)?)),
+            MeshFormat::Usda => write_usda(path, mesh, &usd(self)?, up, light),
+            MeshFormat::Usdz => write_usdz(path, mesh, &usd(self)?, up),
+        }
+    }
+
     fn new(surface: Arc<Surface>, material: MaterialState) -> Self {
         // Other programs know no sheen of this kind: they get its mean.
         let both = material.albedo.iter().zip(&material.sheen);
