@@ -22,4 +22,4 @@ pub(crate) mod shape;
 pub mod view;
 mod view_report;
 
-pub use run::{RunOptions, looks, memory, preflight, rehearse, run, summary, write_view};
+pub use run::{OwnPass, RunOptions, looks, memory, preflight, rehearse, run, summary, write_view};

@@ -104,6 +104,7 @@ fn carry_out(args: &RunArgs, shown: Arc<dyn Progress>) -> Result<()> {
         resume: args.resume,
         device: (args.device != "cpu").then(|| ShadingDevice::open(&args.device)).transpose()?,
         live: args.live,
+        own: Vec::new(),
     };
     stop_on_signals()?;
     let profiler = args.profile.map(Profiler::start).transpose()?;

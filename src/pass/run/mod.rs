@@ -21,7 +21,7 @@ use crate::object::Object;
 use crate::object::photograph::imagine;
 use crate::object::progress::{Progress, RecordedMessages, Step};
 use crate::pass::{evaluate, fit, render, shape, view};
-use crate::scene::{LightSource, Pass, Scene, ViewPass, Views, unknown_parts};
+use crate::scene::{EvaluatePass, LightSource, Pass, Scene, ViewPass, Views, unknown_parts};
 use crate::spawn::{SurfaceUse, load_light, make_surface};
 use crate::survey::{Severity, Survey, open::OpenScene};
 use crate::{
@@ -42,8 +42,22 @@ use std::{borrow::Cow, path::Path, path::PathBuf, time::Duration};
 use summary::Reporter;
 use tracing::info_span;
 
+/// A pass of a program's own.
+#[derive(Clone)]
+pub struct OwnPass {
+    /// Its name, that of its folder in `OUT`; no other pass of the run has it.
+    pub name: String,
+    /// The files that it may write into its folder; one that ends with `/` is a folder.
+    pub files: Vec<String>,
+    /// Its work, with its folder, which is not there yet.
+    pub work: Arc<PassWork>,
+}
+
+/// The work of a pass.
+pub type PassWork = dyn Fn(&mut Object, &Path) -> Result<()> + Send + Sync;
+
 /// How a loaded scene is run.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Default)]
 pub struct RunOptions {
     /// The output folder.
     pub out: PathBuf,
@@ -64,6 +78,8 @@ pub struct RunOptions {
     /// Write the report every few seconds while a fit or shape is found, as a page that loads
     /// itself again.
     pub live: bool,
+    /// Passes that run after those of the scene.
+    pub own: Vec<OwnPass>,
 }
 
 /// The scores of a run, in its output folder.
@@ -167,7 +183,7 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn Progres
     let is_new = begun.is_none();
     let start = begun.unwrap_or(now);
     let record = claim.begin(loaded, &options.arguments, start.clone(), told.take(), done)?;
-    let mut run = Run { out, told: &told, reporter: &reporter, watched, record };
+    let mut run = Run { out, own: &options.own, told: &told, reporter: &reporter, watched, record };
     if is_new {
         resume::take_up(&mut object, out, &start, false, every)?;
     }
@@ -194,6 +210,7 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn Progres
 /// What surrounds the passes of a run.
 struct Run<'a> {
     out: &'a Path,
+    own: &'a [OwnPass],
     told: &'a RecordedMessages,
     reporter: &'a Mutex<Reporter>,
     /// The files that passes read when they run, as they were when the run began.
@@ -217,24 +234,24 @@ fn locked(reporter: &Mutex<Reporter>) -> MutexGuard<'_, Reporter> {
 /// written: scored, saved and exported.
 fn run_passes(object: &mut Object, run: &mut Run, done: usize) -> Result<()> {
     let (scene, out, told) = (object.scene(), run.out, run.told);
-    let passes = &scene.passes;
+    let passes: Vec<_> = scene.passes.iter().map(Work::Scene).chain(run.own.iter().map(Work::Own)).collect();
     // Those that failed or need one that did, and those that were stopped before their end.
-    let (mut failed, mut stopped): (Vec<&Pass>, Vec<&Pass>) = Default::default();
+    let (mut failed, mut stopped): (Vec<Work>, Vec<Work>) = Default::default();
     let mut first: Option<Error> = None;
     if done > 0 {
         write_scores(object, out)?;
     }
     run.report()?;
-    for (index, pass) in passes.iter().enumerate().skip(done) {
+    for (index, pass) in passes.iter().copied().enumerate().skip(done) {
         let name = pass.name();
-        if let Some(needed) = failed.iter().find(|failed| needs(pass, failed)) {
+        if let Some(needed) = failed.iter().find(|failed| pass.needs(**failed)) {
             told.note(&format!("pass {name} is left out: it needs {}", needed.name()));
             failed.push(pass);
             run.record.pass(index, RunState::Skipped, told.take())?;
             continue;
         }
         if stopped_by().is_some() {
-            if !(object.found().has_object && writes_results(pass, &stopped)) {
+            if !(object.found().has_object && pass.writes_results(&stopped)) {
                 stopped.push(pass);
                 continue;
             }
@@ -280,26 +297,47 @@ fn run_passes(object: &mut Object, run: &mut Run, done: usize) -> Result<()> {
     first.or(stopped_by().map(|_| Error::Interrupted)).map_or(Ok(()), Err)
 }
 
-/// Whether a pass scores another.
-fn scores(pass: &Pass, other: &Pass) -> bool {
-    matches!(pass, Pass::Evaluate(pass) if pass.scores.iter().any(|score| score.pass == other.name()))
+/// A pass of the scene, or of the program.
+#[derive(Clone, Copy)]
+enum Work<'a> {
+    Scene(&'a Pass),
+    Own(&'a OwnPass),
 }
 
-/// Whether a pass writes what was found when a run is stopped: it takes little time, and all that
-/// it needs is there.
-fn writes_results(pass: &Pass, stopped: &[&Pass]) -> bool {
-    matches!(pass, Pass::Save(_) | Pass::Export(_) | Pass::Evaluate(_))
-        && !stopped.iter().any(|stopped| scores(pass, stopped))
+impl Work<'_> {
+    fn name(&self) -> &str {
+        match self {
+            Self::Scene(pass) => pass.name(),
+            Self::Own(pass) => &pass.name,
+        }
+    }
+
+    /// Whether it scores another.
+    fn scores(self, other: Self) -> bool {
+        let scores = |pass: &EvaluatePass| pass.scores.iter().any(|score| score.pass == other.name());
+        matches!(self, Self::Scene(Pass::Evaluate(pass)) if scores(pass))
+    }
+
+    /// Whether it writes what was found when a run is stopped: it takes little time, and all that
+    /// it needs is there.
+    fn writes_results(self, stopped: &[Self]) -> bool {
+        matches!(self, Self::Scene(Pass::Save(_) | Pass::Export(_) | Pass::Evaluate(_)))
+            && !stopped.iter().any(|stopped| self.scores(*stopped))
+    }
+
+    /// Whether it has nothing to work with where an earlier one failed: everything after what finds
+    /// the object, scores after their pictures.
+    fn needs(self, failed: Self) -> bool {
+        matches!(failed, Self::Scene(Pass::Fit(_) | Pass::Shape(_))) || self.scores(failed)
+    }
 }
 
-/// Whether a pass has nothing to work with where an earlier one failed: everything after what finds
-/// the object, scores after their pictures.
-fn needs(pass: &Pass, failed: &Pass) -> bool {
-    matches!(failed, Pass::Fit(_) | Pass::Shape(_)) || scores(pass, failed)
-}
-
-fn run_pass(object: &mut Object, run: &Run, pass: &Pass) -> Result<()> {
+fn run_pass(object: &mut Object, run: &Run, pass: Work) -> Result<()> {
     let out = run.out;
+    let pass = match pass {
+        Work::Scene(pass) => pass,
+        Work::Own(pass) => return (pass.work)(object, &out.join(&pass.name)),
+    };
     match pass {
         Pass::Fit(pass) => fit::run(object, out, pass),
         Pass::Shape(pass) => shape::run(object, out, pass),

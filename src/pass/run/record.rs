@@ -2,7 +2,7 @@
 //! `--force` tells its own files from others.
 
 use crate::pass::run::preflight::{RUN, check_outputs, inputs, outputs};
-use crate::pass::run::{METRICS, RunOptions, memory::Machine, resume, resume::RunStart};
+use crate::pass::run::{METRICS, OwnPass, RunOptions, memory::Machine, resume, resume::RunStart};
 use crate::report::{html::REPORT, scores::peak_rss_mib};
 use crate::{scene::load::LoadedScene, survey::open::OpenScene};
 use lobelia_geometry::error::{Error, Result};
@@ -232,7 +232,15 @@ impl Claim {
     /// would be replaced or removed.
     pub fn new(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -> Result<Self> {
         let out = &options.out;
-        let plan = outputs(&loaded.scene, data, options.debug_every);
+        let mut plan = outputs(&loaded.scene, data, options.debug_every);
+        for OwnPass { name, files, .. } in &options.own {
+            let is_name = |c: char| c.is_ascii_alphanumeric() || "_-".contains(c);
+            if name.is_empty() || !name.chars().all(is_name) || plan.iter().any(|pass| pass.name == *name) {
+                let problem = format!("a pass cannot have the name `{name}`");
+                return Err(Error::usage(problem, "Give it another, of letters, digits, _ and -."));
+            }
+            plan.push(PassRecord::waiting(name, files.iter().map(|file| format!("{name}/{file}")).collect()));
+        }
         let used = |file: &str, by: &str| FileUse::new(out.join(file), by);
         let of_pass = |pass: &PassRecord| -> Vec<FileUse> {
             let by = format!("pass {}", pass.name);
