@@ -23,7 +23,7 @@
 //! its place, from the same light and albedo; then it goes back and takes the same steps as it is.
 //! Where cameras or vertices are fitted too, they move in the second half of the comparison only.
 
-use crate::object::{Chosen, Object, progress::Step, replace_surface, show::apply_edits};
+use crate::object::{Chosen, Object, progress::tell, replace_surface, show::apply_edits};
 use crate::report::scores::{MaterialsTried, NdfTried, ScaleFound, given_up_words};
 use crate::scene::{
     Albedo, FitPass, FitShading, Gloss, Light, NdfChoice, Sheen, SpecularAlbedo, Tilt, uses_published,
@@ -660,7 +660,7 @@ fn take_steps(
     }
     let is_still = !moves_cameras && !moves_vertices;
     let (mut error, mut psnr, mut ended) = (0.0, 0.0, Ended::Done);
-    let (progress, mut told) = (object.progress(), Ok(ControlFlow::Continue(())));
+    let (progress, mut told) = (object.progress(), Ok(()));
     let summary = run_fit(&mut object.pipeline, options, &mut |at, world| {
         bar.set_length(u64::from(at.steps));
         bar.set_position(u64::from(at.step));
@@ -668,14 +668,14 @@ fn take_steps(
             bar.set_message(format!("{:.1} dB", at.sums.psnr()));
             log_line(&mut world.resource_mut::<FitLog>().0, at.step, at);
         }
-        told = progress.step(&Step { pass: &pass.name, step: at.step, steps: at.steps, fit: at }, world);
+        told = tell(&*progress, &pass.name, [at.step, at.steps], at, world);
         (error, psnr) = (at.sums.mean(), at.sums.psnr());
         if asked.is_some_and(|(step, enough)| step == at.step && psnr < enough) {
             ended = Ended::Doubted;
         } else if is_still && at.step < at.steps && may_pause(world, at.step) && is_due(world) {
             ended = Ended::Paused;
         }
-        let is_over = ended != Ended::Done || is_stopping() || !matches!(told, Ok(ControlFlow::Continue(())));
+        let is_over = ended != Ended::Done || is_stopping() || told.is_err();
         if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     object.pipeline.remove_plugin::<CameraPlugin>();
@@ -684,9 +684,10 @@ fn take_steps(
     if let Some(moved) = moved.filter(|moved| !Arc::ptr_eq(moved, &object.surface())) {
         replace_surface(&mut object.pipeline.world, moved);
     }
+    told?;
     let summary = summary?;
     // A stop leaves nothing to choose.
-    if is_stopping() || told?.is_break() {
+    if is_stopping() {
         ended = Ended::Done;
     }
     // The results so far are written.

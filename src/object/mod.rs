@@ -43,7 +43,7 @@ use crate::spawn::{
 use crate::survey::open::OpenScene;
 use bevy_ecs::prelude::{Mut, Resource, World};
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
+use lobelia_geometry::error::{Error, Result, stop::Stop, stop::check_interrupted};
 use lobelia_geometry::{
     mesh::Surface, mesh::atlas::unwrap_mesh, mesh::triangles::Mesh, view::Split, view::ViewRecord,
 };
@@ -137,6 +137,8 @@ pub struct ReconstructOptions {
     pub fit: Option<FitPass>,
     /// Seed of every random choice.
     pub seed: u64,
+    /// A request to stop, which another thread may make: what was found until then stays.
+    pub stop: Stop,
     /// The receiver of messages and steps, which may end the work: [`Silent`], or a closure over
     /// [`Step`](progress::Step)s.
     pub progress: Arc<dyn Progress>,
@@ -153,6 +155,7 @@ impl Default for ReconstructOptions {
             shape: None,
             fit: None,
             seed: 0,
+            stop: Stop::default(),
             progress: Arc::new(Silent),
         }
     }
@@ -164,14 +167,16 @@ impl Object {
     /// # Errors
     /// If a photograph has no mask, the masks have no hull, or a fit fails.
     pub fn reconstruct(capture: &Capture, options: &ReconstructOptions) -> Result<Self> {
-        let spec = SurfaceSpec::Unknown { cells: 128, texture_size: options.texture_size };
-        let (surface, _) = make_surface(&spec, capture, SurfaceUse::UntilShape)?;
-        let mut object = Self::of_capture(spec, surface, capture, options)?;
-        let shape = options.shape.clone().unwrap_or_else(|| capture.shape_pass());
-        if !object.find_shape(&shape)? {
-            object.find(&options.fit.clone().unwrap_or_else(|| capture.fit_pass_of_shape()))?;
-        }
-        Ok(object)
+        options.stop.over(|| {
+            let spec = SurfaceSpec::Unknown { cells: 128, texture_size: options.texture_size };
+            let (surface, _) = make_surface(&spec, capture, SurfaceUse::UntilShape)?;
+            let mut object = Self::of_capture(spec, surface, capture, options)?;
+            let shape = options.shape.clone().unwrap_or_else(|| capture.shape_pass());
+            if !object.find_shape(&shape)? {
+                object.find(&options.fit.clone().unwrap_or_else(|| capture.fit_pass_of_shape()))?;
+            }
+            Ok(object)
+        })
     }
 
     /// Finds light and material of a surface that is known, from photographs.
@@ -179,12 +184,14 @@ impl Object {
     /// # Errors
     /// If the mesh cannot be unwrapped, no photograph shows it, or the fit fails.
     pub fn fit(mesh: &Mesh, capture: &Capture, options: &ReconstructOptions) -> Result<Self> {
-        let texture_size = options.texture_size;
-        let surface = Surface::new(unwrap_mesh(mesh, texture_size)?.mesh, texture_size)?;
-        let spec = SurfaceSpec::Mesh { path: PathBuf::new(), texture_size, own_material: false };
-        let mut object = Self::of_capture(spec, surface, capture, options)?;
-        object.find(&options.fit.clone().unwrap_or_else(|| capture.fit_pass()))?;
-        Ok(object)
+        options.stop.over(|| {
+            let texture_size = options.texture_size;
+            let surface = Surface::new(unwrap_mesh(mesh, texture_size)?.mesh, texture_size)?;
+            let spec = SurfaceSpec::Mesh { path: PathBuf::new(), texture_size, own_material: false };
+            let mut object = Self::of_capture(spec, surface, capture, options)?;
+            object.find(&options.fit.clone().unwrap_or_else(|| capture.fit_pass()))?;
+            Ok(object)
+        })
     }
 
     fn of_capture(

@@ -12,7 +12,7 @@
 //! ```
 
 use bevy_ecs::prelude::World;
-use lobelia_geometry::Result;
+use lobelia_geometry::{Result, error::stop::Stop};
 use lobelia_solve::fit::run::FitProgress;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -47,8 +47,8 @@ pub trait Progress: Send + Sync {
     /// A pass begins: its name, its place among those of the run, from 1, and how many there are.
     fn pass(&self, _name: &str, _number: usize, _count: usize) {}
 
-    /// A step is done, with the state of the world after it. `Break` ends the fit, which keeps what
-    /// it has.
+    /// A step is done, with the state of the world after it. `Break` ends the work as its
+    /// [`Stop`](lobelia_geometry::error::stop::Stop) does: what was found stays.
     ///
     /// # Errors
     /// Its own, which end the fit as well.
@@ -61,6 +61,20 @@ impl<F: Fn(&Step) -> ControlFlow<()> + Send + Sync> Progress for F {
     fn step(&self, at: &Step, _world: &mut World) -> Result<ControlFlow<()>> {
         Ok(self(at))
     }
+}
+
+/// Tells of a step, and asks the work of this thread to stop if that is the answer.
+pub(super) fn tell(
+    to: &dyn Progress,
+    pass: &str,
+    [step, steps]: [u32; 2],
+    fit: &FitProgress,
+    world: &mut World,
+) -> Result<()> {
+    if to.step(&Step { pass, step, steps, fit }, world)?.is_break() {
+        Stop::current().ask();
+    }
+    Ok(())
 }
 
 /// The progress bar of a task.

@@ -1,7 +1,7 @@
 //! The shape of an object: recovers an unknown surface from photographs and masks, and replaces the
 //! visual hull by it.
 
-use crate::object::{Object, fit::closed_form, progress::Progress, progress::Step, replace_surface};
+use crate::object::{Object, fit::closed_form, progress::Progress, progress::tell, replace_surface};
 use crate::scene::{GridLevel, ShapePass, Surface as SurfaceSpec};
 use crate::spawn::insert_known_along;
 use bevy_ecs::prelude::World;
@@ -163,12 +163,8 @@ fn fit(object: &mut Object, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
         if at.fit.step.is_multiple_of(20) {
             bar.set_message(format!("{:.1} dB", at.fit.sums.psnr()));
         }
-        let told = progress.step(&Step { pass: &pass.name, step, steps: all, fit: at.fit }, world);
-        let is_stopped = told.unwrap_or_else(|error| {
-            failure = Some(error);
-            ControlFlow::Break(())
-        });
-        stopped |= is_stopped.is_break() || is_stopping();
+        failure = tell(&*progress, &pass.name, [step, all], at.fit, world).err();
+        stopped |= failure.is_some() || is_stopping();
         if stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
     bar.finish_and_clear();

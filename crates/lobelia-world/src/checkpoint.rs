@@ -13,7 +13,7 @@
 use crate::pipeline::pool::PoolIndex;
 use bevy_ecs::prelude::{Component, Entity, EntityRef, Mut, Resource, With, World};
 use bevy_ecs::query::QueryFilter;
-use lobelia_geometry::{Error, Result, error::stop::stopped_by};
+use lobelia_geometry::{Error, Result, error::stop::was_asked_to_stop};
 use serde::{Serialize, de::DeserializeOwned};
 use std::any::type_name;
 use std::time::{Duration, Instant};
@@ -79,7 +79,7 @@ pub fn keep_part(world: &mut World) -> Result<()> {
 
 /// None is kept once a run was stopped, for what it finds then is not what it would have found.
 fn keep_at(world: &mut World, point: ResumePoint) -> Result<()> {
-    if stopped_by().is_some() || !world.contains_resource::<Checkpoints>() {
+    if was_asked_to_stop() || !world.contains_resource::<Checkpoints>() {
         return Ok(());
     }
     let saved = save(world, if matches!(point, ResumePoint::Pass(_)) { Span::Run } else { Span::Pass })?;

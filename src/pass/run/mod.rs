@@ -28,7 +28,9 @@ use crate::{
     capture::bare_views, capture::read_views, report::scores::peak_rss_mib, scene::load::LoadedScene,
 };
 use bevy_ecs::prelude::World;
-use lobelia_geometry::error::stop::{check_interrupted, finish_stopping, stopped_by};
+use lobelia_geometry::error::stop::{
+    Stop, check_interrupted, finish_stopping, stopped_by, was_asked_to_stop,
+};
 use lobelia_geometry::view::look::ViewLook;
 use lobelia_geometry::{error::Error, error::Result, view::ViewRecord};
 use lobelia_io::codec::file::{FolderLock, check_writable, clear_scratch};
@@ -95,6 +97,10 @@ pub(crate) const METRICS: &str = "metrics.json";
 /// earlier run, if another run writes into the output folder, or if a run is to go on with
 /// something else than it was begun with.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn Progress>) -> Result<()> {
+    Stop::default().over(|| run_in_folder(loaded, options, progress))
+}
+
+fn run_in_folder(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn Progress>) -> Result<()> {
     let RunOptions { out, resume, debug_every, .. } = options;
     // Steps are shown in the report, if that is watched, and by the pictures of `debug_every`.
     let reporter = Arc::new(Mutex::new(Reporter::new(options.live)));
@@ -250,7 +256,7 @@ fn run_passes(object: &mut Object, run: &mut Run, done: usize) -> Result<()> {
             run.record.pass(index, RunState::Skipped, told.take())?;
             continue;
         }
-        if stopped_by().is_some() {
+        if was_asked_to_stop() {
             if !(object.found().has_object && pass.writes_results(&stopped)) {
                 stopped.push(pass);
                 continue;
@@ -294,7 +300,7 @@ fn run_passes(object: &mut Object, run: &mut Run, done: usize) -> Result<()> {
             object.pipeline.world.remove_resource::<Checkpoints>();
         }
     }
-    first.or(stopped_by().map(|_| Error::Interrupted)).map_or(Ok(()), Err)
+    first.or(was_asked_to_stop().then_some(Error::Interrupted)).map_or(Ok(()), Err)
 }
 
 /// A pass of the scene, or of the program.

@@ -1,13 +1,20 @@
-//! How a run is stopped from outside, and how its work finds out: one flag that every long loop
-//! asks.
+//! How work is stopped from outside, and how it finds out.
 //!
-//! The flag is of the process, as a signal is: it stops the work of all pipelines and threads, and
-//! is never reset. A program that runs several and wants to stop one of them returns
-//! `ControlFlow::Break` from that fit's `watch` instead.
+//! A signal is of the process: it stops the work of all threads, and is never taken back. A [`Stop`]
+//! is of one piece of work, an object being found: whoever has a clone of it may ask, from any
+//! thread. Long loops ask [`is_stopping`], which answers for the work that their thread is at.
+//!
+//! ```
+//! use lobelia_geometry::error::stop::{Stop, is_stopping};
+//!
+//! let stop = Stop::default();
+//! stop.ask();
+//! assert!(stop.over(is_stopping) && !is_stopping());
+//! ```
 
 use crate::{Error, Result};
-use std::fmt;
 use std::sync::atomic::{AtomicU8, Ordering};
+use std::{cell::RefCell, fmt, sync::Arc};
 
 /// Source of a request to stop a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,28 +51,76 @@ impl fmt::Display for StopSignal {
     }
 }
 
-/// The signal, and [`FINISHING`].
-static STOP: AtomicU8 = AtomicU8::new(0);
-/// Set once the work has ended and only its results are written.
-const FINISHING: u8 = 0x80;
+/// The signal.
+static SIGNAL: AtomicU8 = AtomicU8::new(0);
 
-/// Asks all work in progress in this process to stop; returns whether it is the first to ask.
+/// Asks all work in this process to stop; returns whether it is the first to ask.
 pub fn ask_to_stop(signal: StopSignal) -> bool {
-    STOP.compare_exchange(0, signal as u8, Ordering::Relaxed, Ordering::Relaxed).is_ok()
+    SIGNAL.compare_exchange(0, signal as u8, Ordering::Relaxed, Ordering::Relaxed).is_ok()
 }
 
-/// Returns the source of the request to stop, if there was one.
+/// Returns the signal that the process got, if it got one.
 pub fn stopped_by() -> Option<StopSignal> {
-    let signal = STOP.load(Ordering::Relaxed) & !FINISHING;
+    let signal = SIGNAL.load(Ordering::Relaxed);
     StopSignal::ALL.into_iter().find(|known| *known as u8 == signal)
+}
+
+/// Bits of a [`Stop`]: that it was asked for, and that the work has ended and only its results are
+/// written.
+const ASKED: u8 = 1;
+const FINISHING: u8 = 2;
+
+/// A request to stop a piece of work; clones are the same request.
+#[derive(Clone, Debug, Default)]
+pub struct Stop(Arc<AtomicU8>);
+
+thread_local! {
+    /// The request that stops the work of this thread.
+    static CURRENT: RefCell<Stop> = RefCell::default();
+}
+
+/// Puts the request of the work around back.
+struct Around(Stop);
+
+impl Drop for Around {
+    fn drop(&mut self) {
+        CURRENT.set(std::mem::take(&mut self.0));
+    }
+}
+
+impl Stop {
+    /// The request that stops the work of this thread.
+    pub fn current() -> Self {
+        CURRENT.with_borrow(Clone::clone)
+    }
+
+    /// Asks the work to stop.
+    pub fn ask(&self) {
+        self.0.fetch_or(ASKED, Ordering::Relaxed);
+    }
+
+    /// Does work that this stops, with the loops of [`parallel`](crate::parallel) in it.
+    pub fn over<T>(&self, work: impl FnOnce() -> T) -> T {
+        let _around = Around(CURRENT.replace(self.clone()));
+        work()
+    }
+}
+
+/// Whether the work of this thread was asked to stop, by a signal or its [`Stop`].
+pub fn was_asked_to_stop() -> bool {
+    let asked = CURRENT.with_borrow(|stop| stop.0.load(Ordering::Relaxed) & ASKED != 0);
+    asked || SIGNAL.load(Ordering::Relaxed) != 0
 }
 
 /// Whether the work in progress is to stop. A loop over rows may leave the rest as they are then,
 /// if whoever called it asks [`check_interrupted`] before the rows are used.
 #[inline]
 pub fn is_stopping() -> bool {
-    let stop = STOP.load(Ordering::Relaxed);
-    stop != 0 && stop & FINISHING == 0
+    let signal = SIGNAL.load(Ordering::Relaxed);
+    CURRENT.with_borrow(|stop| {
+        let own = stop.0.load(Ordering::Relaxed);
+        own & FINISHING == 0 && (own != 0 || signal != 0)
+    })
 }
 
 /// Checks whether the work in progress is to stop.
@@ -80,6 +135,6 @@ pub fn check_interrupted() -> Result<()> {
 /// Marks the work as ended: results found until then can be written, and nothing stops that.
 pub fn finish_stopping() {
     if is_stopping() {
-        STOP.fetch_or(FINISHING, Ordering::Relaxed);
+        CURRENT.with_borrow(|stop| _ = stop.0.fetch_or(FINISHING, Ordering::Relaxed));
     }
 }
