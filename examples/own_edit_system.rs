@@ -13,11 +13,10 @@ struct Places(Vec<Vec3>);
 /// alone is shown as it was recovered.
 fn paint_stripes(places: Res<Places>, composition: Composition) -> SystemResult {
     composition.compose(|material| {
-        let texels = material.albedo.iter_mut().zip(&mut material.sheen).zip(&places.0);
-        for ((albedo, sheen), place) in texels {
+        for (texel, place) in material.diffuse.iter_mut().zip(&places.0) {
             if (place.y / 0.2).floor().rem_euclid(2.0) == 0.0 {
-                albedo.0 = albedo.0.lerp(Vec3::new(0.8, 0.5, 0.1), 0.9);
-                sheen.0 *= 0.1;
+                texel.albedo = texel.albedo.lerp(Vec3::new(0.8, 0.5, 0.1), 0.9);
+                texel.sheen *= 0.1;
             }
         }
         Ok(())

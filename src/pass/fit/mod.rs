@@ -32,12 +32,12 @@ use lobelia_solve::fit::{groups::forget_visibility, guard::check_parameters, obs
 use lobelia_world::light::{
     EnvironmentMap, LightLobe, groups::other_lights, lights::own_lobes, render_lobes,
 };
+use lobelia_world::material::diffuse::{Diffuse, KnownAlong, has_sheen, has_tilt, write_albedo};
 use lobelia_world::material::{
-    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
-    recovered_materials, sheen::KnownAlong, sheen::has_sheen, sheen::write_albedo, texels_in_order,
+    SpecularBlend, SpecularLobe, TexelIndex, recovered_materials, texels_in_order,
 };
-use lobelia_world::pipeline::pool::{despawn_rows, read_column, write_column};
-use lobelia_world::{material::tilt::has_tilt, pipeline::Phase, pipeline::Slot, sample::point::Scenery};
+use lobelia_world::pipeline::pool::{despawn_rows, read_column, with_columns, write_column};
+use lobelia_world::{pipeline::Phase, pipeline::Slot, sample::point::Scenery};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 use std::{path::Path, sync::Arc, time::Instant};
@@ -123,21 +123,19 @@ fn fill_texels(session: &mut Session) -> Result<usize> {
         values
     };
     if unknowns.albedo {
-        let albedo = recovered_albedo(world)?;
-        let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
-        let tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
-        let filled = fill(albedo.clone());
-        if has_sheen(&sheen) {
+        let albedo = with_columns::<TexelIndex, &mut Diffuse, _>(world, |mut texels| {
+            let filled = |of: fn(&Diffuse) -> Vec3| fill(texels.iter().map(of).collect());
+            let albedo = filled(|texel| texel.albedo);
             // Their albedo along the surface is that of their neighbors.
-            let along = fill(albedo.iter().zip(&sheen).map(|(albedo, sheen)| *albedo + sheen.0).collect());
-            let sheen = along.iter().zip(&filled).map(|(along, straight)| DiffuseSheen(*along - *straight));
-            write_column::<TexelIndex, DiffuseSheen>(world, &sheen.collect::<Vec<_>>())?;
-        }
-        if has_tilt(&tilt) {
-            let tilt = fill(tilt.iter().map(|tilt| tilt.0).collect()).into_iter().map(DiffuseTilt);
-            write_column::<TexelIndex, DiffuseTilt>(world, &tilt.collect::<Vec<_>>())?;
-        }
-        write_albedo(world, filled)?;
+            let along = has_sheen(&texels).then(|| filled(Diffuse::along));
+            let tilt = has_tilt(&texels).then(|| filled(|texel| texel.tilt));
+            for (i, texel) in texels.iter_mut().enumerate() {
+                texel.sheen = along.as_ref().map_or(texel.sheen, |along| along[i] - albedo[i]);
+                texel.tilt = tilt.as_ref().map_or(texel.tilt, |tilt| tilt[i]);
+            }
+            Ok(albedo)
+        })?;
+        write_albedo(world, &albedo)?;
     }
     if unknowns.blends {
         let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
@@ -172,8 +170,8 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
         if summary.stopped { " (stopped early)" } else { "" }
     ));
     if let Some(part) = summary.explained_by_sheen.map(|part| 100.0 * part) {
-        let found = has_sheen(&read_column::<TexelIndex, DiffuseSheen>(world).unwrap_or_default());
-        let words = if found { "a sheen" } else { "no sheen" };
+        let found = with_columns::<TexelIndex, &Diffuse, _>(world, |texels| Ok(has_sheen(&texels)));
+        let words = if found.unwrap_or_default() { "a sheen" } else { "no sheen" };
         let of = "of the squared error of views kept aside";
         session.progress.print(&format!("{name}: {words}: it explains {part:.1} % {of}"));
     }
@@ -193,13 +191,13 @@ fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &S
     for (number, (lobes, _)) in (2..).zip(other_lights(world)) {
         write_light(&lobes, folder, &format!("_{number}"))?;
     }
-    let albedo = recovered_albedo(world)?;
-    write_texture(&folder.join("albedo"), &albedo, atlas)?;
-    let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
-    if has_sheen(&sheen) {
-        let along: Vec<Vec3> = albedo.iter().zip(&sheen).map(|(albedo, sheen)| *albedo + sheen.0).collect();
-        write_texture(&folder.join("albedo_along"), &along, atlas)?;
-    }
+    with_columns::<TexelIndex, &Diffuse, _>(world, |texels| {
+        let write = |name: &str, of: fn(&Diffuse) -> Vec3| {
+            write_texture(&folder.join(name), &texels.iter().map(of).collect::<Vec<_>>(), atlas)
+        };
+        write("albedo", |texel| texel.albedo)?;
+        if has_sheen(&texels) { write("albedo_along", Diffuse::along) } else { Ok(()) }
+    })?;
     let seen = read_column::<TexelIndex, TexelSeen>(world)?;
     let marks: Vec<Vec3> = seen.iter().map(|s| Vec3::splat(if s.0 > 1e-3 { 1.0 } else { 0.0 })).collect();
     write_rgb8(folder.join("seen.png"), &preview(&marks, atlas.width, atlas.height))?;
@@ -423,14 +421,10 @@ fn factor_for(session: &mut Session) -> u32 {
     ((atlas.texel_size() / pixel).round() as u32).min(most).max(1)
 }
 
-/// Replaces the texels by texels whose material is that of the old ones at these places: albedo and
-/// sheen between them, the rest of the nearest.
+/// Replaces the texels by texels whose material is that of the old ones at these places: diffuse
+/// between them, the rest of the nearest.
 fn divide_texels(world: &mut World, from: &[TexelAddress]) -> Result<()> {
-    let albedo: Vec<Vec3> = recovered_albedo(world)?;
-    let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
-    let sheen: Vec<Vec3> = sheen.into_iter().map(|sheen| sheen.0).collect();
-    let tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
-    let tilt: Vec<Vec3> = tilt.into_iter().map(|tilt| tilt.0).collect();
+    let diffuse = read_column::<TexelIndex, Diffuse>(world)?;
     let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
     let seen = read_column::<TexelIndex, TexelSeen>(world)?;
     let gloss = read_column::<TexelIndex, TexelRoughness>(world).ok();
@@ -445,8 +439,8 @@ fn divide_texels(world: &mut World, from: &[TexelAddress]) -> Result<()> {
     despawn_rows(world, &old);
     // With all their components at once: bevy would keep the room of a table that they leave.
     world.spawn_batch((0..).map(TexelIndex).zip(from).map(|(index, at)| {
-        let (sheen, tilt) = (DiffuseSheen(at.blend(&sheen)), DiffuseTilt(at.blend(&tilt)));
-        (index, DiffuseAlbedo(at.blend(&albedo)), sheen, tilt, blends[nearest(at)], seen[nearest(at)])
+        let diffuse = Diffuse::mixed(at, |texel| diffuse[texel]);
+        (index, diffuse, blends[nearest(at)], seen[nearest(at)])
     }));
     if let Some(gloss) = gloss.filter(|gloss| !gloss.is_empty()) {
         for (texel, at) in texels_in_order(world).into_iter().zip(from) {

@@ -43,8 +43,8 @@ use lobelia_solve::shape::{run::training_silhouettes, vertices::MovingMesh, vert
 use lobelia_solve::{fit::observe::PixelChoice, visibility::ObjectVisibility};
 use lobelia_world::light::{LightLobe, groups::FittedLobe, light_frame::OwnLightFrame};
 use lobelia_world::material::{
-    BaseMaterial, SpecularBlend, SpecularLobe, TexelIndex, first_material, recovered_materials,
-    replace_materials, sheen::write_albedo, shown::recovered_material,
+    BaseMaterial, SpecularBlend, SpecularLobe, TexelIndex, diffuse::write_albedo, first_material,
+    recovered_materials, replace_materials, shown::recovered_material,
 };
 use lobelia_world::{checkpoint, checkpoint::Span, checkpoint::is_due, checkpoint::keep_resource};
 use serde::{Deserialize, Serialize};
@@ -253,7 +253,7 @@ fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions, one: 
     }
     if initialize.albedo {
         let texels = world.query::<&TexelIndex>().iter(world).len();
-        write_albedo(world, vec![Vec3::splat(0.4); texels])?;
+        write_albedo(world, &vec![Vec3::splat(0.4); texels])?;
     }
     let light_frame = world.get_resource::<OwnLightFrame>().map(|own| own.0);
     session.kept.several = true;
