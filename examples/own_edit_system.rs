@@ -12,9 +12,10 @@ struct Places(Vec<Vec3>);
 /// The edit: what a texel shows, of what was recovered and where the texel lies.
 fn paint_stripes(places: Res<Places>, composition: Composition) -> SystemResult {
     composition.compose(|material| {
-        for (albedo, place) in material.albedo.iter_mut().zip(&places.0) {
+        for (texel, place) in material.diffuse.iter_mut().zip(&places.0) {
             if (place.y / 0.2).floor().rem_euclid(2.0) == 0.0 {
-                albedo.0 = albedo.0.lerp(Vec3::new(0.8, 0.5, 0.1), 0.9);
+                texel.albedo = texel.albedo.lerp(Vec3::new(0.8, 0.5, 0.1), 0.9);
+                texel.sheen *= 0.1;
             }
         }
         Ok(())

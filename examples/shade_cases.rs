@@ -96,7 +96,7 @@ fn traced(case: &Case, stream: u64, paths: u32) -> Layers {
     let light = LobeLight::new(&[lobe]);
     let specular = [Some(SpecularLobe::new(vec(case.specular), roughness))];
     let (surface, light, specular) = (&Empty, &light, &specular);
-    let scene = PathScene { surface, light, albedo: &[], sheen: &[], tilt: &[], blends: &[], specular };
+    let scene = PathScene { surface, light, diffuse: &[], blends: &[], specular };
     let (position, normal, albedo) = (Vec3::ZERO, vec(case.normal), vec(case.albedo));
     let blend = SpecularBlend::default().0;
     let point = PathPoint { position, normal, geometric_normal: normal, albedo, blend };

@@ -9,7 +9,7 @@
 //! | views | [`Camera`], [`ViewRecord`], [`ViewIndex`], [`Photograph`], [`StoredMask`], [`Image`], [`Mask`], [`Split`] |
 //! | light | [`LightLobe`], [`EnvironmentMap`], [`MapLight`], [`MapConvention`], [`render_lobes`], [`fit_map`], [`MapFit`] |
 //! | lights in a world | [`spawn_light`], [`provide_light`], [`LightChoice`], [`LightName`], [`LobeOf`] |
-//! | recovered material | [`DiffuseAlbedo`], [`DiffuseSheen`], [`DiffuseTilt`], [`SpecularBlend`], [`SpecularLobe`], [`BaseMaterial`] |
+//! | recovered material | [`Diffuse`], [`SpecularBlend`], [`SpecularLobe`], [`BaseMaterial`] |
 //! | shown material | [`Shown`], [`show_recovered`], [`show_edited`], [`Composition`], [`recovered_changed`], [`frame_material`] |
 //! | edits | [`EditName`], [`EditOrder`], [`EditTarget`], [`EditAction`], [`EditRegion`] |
 //! | rendering | [`spawn_object`], [`FramePlugin`], [`render_frame`], [`resolve`], [`Frame`], [`save_png`], [`Look`] |
@@ -67,9 +67,7 @@ pub use lobelia_world::light::{EnvironmentMap, LightLobe, render_lobes};
 // Material and edits.
 pub use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget};
 pub use lobelia_world::material::shown::{Composition, recovered_changed, show_edited, show_recovered};
-pub use lobelia_world::material::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, Shown, SpecularBlend, SpecularLobe,
-};
+pub use lobelia_world::material::{BaseMaterial, Diffuse, Shown, SpecularBlend, SpecularLobe};
 
 // Rendering.
 pub use lobelia_geometry::view::Frame;

@@ -28,7 +28,7 @@ fn fitted(change: impl FnOnce(&mut Pipeline)) -> Pipeline {
     pipeline
 }
 
-type Found = (Vec<DiffuseAlbedo>, Vec<LightLobe>, SpecularLobe);
+type Found = (Vec<Diffuse>, Vec<LightLobe>, SpecularLobe);
 
 fn found(mut pipeline: Pipeline) -> Found {
     let world = &mut pipeline.world;
@@ -185,8 +185,8 @@ fn shadows_are_computed_again_when_light_or_material_change_and_only_then() {
     pipeline.world.despawn(lobe);
     assert_eq!(refreshes(&mut pipeline), 3, "a lobe less");
     let texel = texel(&mut pipeline.world, 9);
-    pipeline.world.get_mut::<DiffuseAlbedo>(texel).unwrap().0 *= 0.5;
-    assert_eq!(refreshes(&mut pipeline), 4, "Changed<DiffuseAlbedo>, by way of what is shown");
+    pipeline.world.get_mut::<Diffuse>(texel).unwrap().albedo *= 0.5;
+    assert_eq!(refreshes(&mut pipeline), 4, "Changed<Diffuse>, by way of what is shown");
     let world = &mut pipeline.world;
     world.query::<&mut SpecularLobe>().single_mut(world).unwrap().roughness = 0.5;
     assert_eq!(refreshes(&mut pipeline), 5);
@@ -201,17 +201,15 @@ fn shadows_are_computed_again_when_light_or_material_change_and_only_then() {
 /// An edit as a system of one's own: what is red becomes green, from every side.
 fn paint_green(composition: Composition) -> SystemResult {
     composition.compose(|material| {
-        let texels = material.albedo.iter_mut().zip(&mut material.sheen).zip(&mut material.tilt);
-        for ((albedo, sheen), tilt) in texels.filter(|((albedo, ..), _)| albedo.0.x > 0.5) {
-            (albedo.0, sheen.0, tilt.0) = (Vec3::Y, Vec3::ZERO, Vec3::ZERO);
-        }
+        let red = material.diffuse.iter_mut().filter(|texel| texel.albedo.x > 0.5);
+        red.for_each(|texel| *texel = Diffuse::of_albedo(Vec3::Y));
         Ok(())
     })
 }
 
 /// The same edit as an entity, with a region of weights.
 fn spawn_green(world: &mut World) -> Entity {
-    let weight = |albedo: &DiffuseAlbedo| f32::from(u8::from(albedo.0.x > 0.5));
+    let weight = |texel: &Diffuse| f32::from(u8::from(texel.albedo.x > 0.5));
     let region = EditRegion(Some(column(world).iter().map(weight).collect()));
     let action = EditAction::Set(Vec3::Y);
     world.spawn((EditName("green".into()), EditTarget::Diffuse, action, region)).id()
@@ -220,9 +218,8 @@ fn spawn_green(world: &mut World) -> Entity {
 /// The studio with a sheen and a tilt on all texels.
 fn studio_with_sheen_and_tilt() -> Pipeline {
     let mut pipeline = studio(&day());
-    let mut texels = pipeline.world.query::<(&mut DiffuseSheen, &mut DiffuseTilt)>();
-    for (mut sheen, mut tilt) in texels.iter_mut(&mut pipeline.world) {
-        (sheen.0, tilt.0) = (Vec3::splat(0.2), Vec3::new(0.1, 0.2, 0.0));
+    for mut texel in pipeline.world.query::<&mut Diffuse>().iter_mut(&mut pipeline.world) {
+        (texel.sheen, texel.tilt) = (Vec3::splat(0.2), Vec3::new(0.1, 0.2, 0.0));
     }
     pipeline
 }
@@ -235,15 +232,11 @@ fn an_edit_of_ones_own_shows_the_sheen_and_tilt_that_it_leaves() {
     let shown = frame_material(&mut pipeline).unwrap();
     let painted = shoot(&mut pipeline, front());
     let plain = recovered_material(&mut pipeline.world).unwrap();
-    let is_red = |texel: usize| plain.albedo[texel].0.x > 0.5;
-    for texel in 0..plain.albedo.len() {
-        let expected = match is_red(texel) {
-            true => (DiffuseAlbedo(Vec3::Y), DiffuseSheen::default(), DiffuseTilt::default()),
-            false => (plain.albedo[texel], plain.sheen[texel], plain.tilt[texel]),
-        };
-        assert_eq!((shown.albedo[texel], shown.sheen[texel], shown.tilt[texel]), expected, "texel {texel}");
-    }
-    assert!((0..plain.albedo.len()).any(is_red) && !(0..plain.albedo.len()).all(is_red));
+    let is_red = |texel: &Diffuse| texel.albedo.x > 0.5;
+    let green = Diffuse::of_albedo(Vec3::Y);
+    let expected = plain.diffuse.iter().map(|texel| if is_red(texel) { green } else { *texel });
+    assert!(expected.eq(shown.diffuse.iter().copied()));
+    assert!(plain.diffuse.iter().any(is_red) && !plain.diffuse.iter().all(is_red));
     spawn_green(&mut pipeline.world);
     pipeline.swap(Phase::Frame, Slot::Material, show_edited("green"));
     assert!(close(&shoot(&mut pipeline, front()), &painted), "the same but for rounding of the sheen");
@@ -253,7 +246,7 @@ fn an_edit_of_ones_own_shows_the_sheen_and_tilt_that_it_leaves() {
     write_material(folder.path(), &shown, surface.atlas()).unwrap();
     let albedo = read_exr_layers(folder.path().join("albedo.exr")).unwrap();
     for (channel, found) in ["R", "G", "B"].map(|name| &albedo.channels[name]).into_iter().enumerate() {
-        assert!(found.iter().eq(shown.albedo.iter().map(|albedo| &albedo.0[channel])), "{channel}");
+        assert!(found.iter().eq(shown.diffuse.iter().map(|texel| &texel.albedo[channel])), "{channel}");
     }
     assert!(["albedo_along.exr", "albedo_tilt.exr"].iter().all(|file| folder.path().join(file).exists()));
     pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
@@ -304,7 +297,7 @@ fn a_fit_that_is_removed_leaves_what_it_found_and_nothing_else() {
 fn an_edit_is_a_system_in_a_slot_and_leaves_what_was_recovered() {
     let mut pipeline = studio(&day());
     let plain = shoot(&mut pipeline, front());
-    let recovered = column::<DiffuseAlbedo>(&mut pipeline.world);
+    let recovered = column::<Diffuse>(&mut pipeline.world);
     pipeline.swap(Phase::Frame, Slot::Material, paint_green);
     let painted = shoot(&mut pipeline, front());
     assert_ne!(painted.albedo, plain.albedo);
@@ -326,14 +319,14 @@ fn an_edit_is_a_system_in_a_slot_and_leaves_what_was_recovered() {
     assert_ne!(shoot(&mut pipeline, front()).specular, plain.specular);
     pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
     assert_eq!(shoot(&mut pipeline, front()), plain);
-    assert_eq!(column::<DiffuseAlbedo>(&mut pipeline.world), recovered);
+    assert_eq!(column::<Diffuse>(&mut pipeline.world), recovered);
 }
 
 #[test]
 fn an_edit_of_a_region_shows_base_materials_that_go_with_it() {
     let mut pipeline = studio(&day());
     let plain = shoot(&mut pipeline, front());
-    let count = column::<DiffuseAlbedo>(&mut pipeline.world).len();
+    let count = column::<Diffuse>(&mut pipeline.world).len();
     let region = EditRegion(Some((0..count).map(|i| if i < count / 2 { 1.0 } else { 0.0 }).collect()));
     let edit = (EditName("polish".into()), EditTarget::Roughness, EditAction::Set(Vec3::splat(0.1)), region);
     pipeline.world.spawn(edit);

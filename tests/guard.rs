@@ -50,12 +50,11 @@ fn poison_adjoints(samples: Samples<&mut PointAdjoint>) -> SystemResult {
 
 /// All that a fit moves or sums from step to step, in words.
 fn state(world: &mut World) -> String {
-    let albedo: (Vec<DiffuseAlbedo>, Vec<AlbedoGradient>, Vec<AlbedoMoments>) =
-        (column(world), column(world), column(world));
-    let sheen: (Vec<DiffuseSheen>, Vec<SheenGradient>, Vec<SheenMoments>) =
-        (column(world), column(world), column(world));
+    let texels: Vec<Diffuse> = column(world);
+    let albedo: (Vec<AlbedoGradient>, Vec<AlbedoMoments>) = (column(world), column(world));
+    let sheen: (Vec<SheenGradient>, Vec<SheenMoments>) = (column(world), column(world));
     let lights: Vec<_> = world.query::<(&LightLobe, &LobeMoments)>().iter(world).collect();
-    let mut words = format!("{albedo:?} {sheen:?} {lights:?}");
+    let mut words = format!("{texels:?} {albedo:?} {sheen:?} {lights:?}");
     let gloss: Vec<_> = world.query::<(&SpecularLobe, &SpecularMoments)>().iter(world).collect();
     words += &format!("{gloss:?} {:?} {:?}", world.resource::<ScaleMoments>(), world.resource::<Exposures>());
     words
@@ -110,8 +109,7 @@ fn a_step_that_is_not_finite_is_taken_back_and_counted() {
     let first = guard.first.clone().unwrap();
     assert!(first.starts_with("step 10: the radiance is not finite at view front, pixel ("), "{first}");
     let world = &mut pipeline.world;
-    let albedo = column::<DiffuseAlbedo>(world);
-    assert!(albedo.iter().all(|albedo| albedo.0.is_finite()));
+    assert!(column::<Diffuse>(world).iter().all(|texel| texel.albedo.is_finite()));
     assert!(world.query::<&LightLobe>().iter(world).all(|lobe| lobe.amplitude.is_finite()));
     // A fit of which no step is finite ends with the place.
     let error = fit(5..99).1.unwrap_err().to_string();

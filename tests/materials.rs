@@ -4,7 +4,7 @@
 use crate::common::*;
 use crate::lights::lamp;
 use lobelia::fit::detail::{DetailOptions, solve_detail};
-use lobelia::material::sheen::{KnownAlong, write_albedo};
+use lobelia::material::diffuse::{KnownAlong, write_albedo};
 use lobelia::{
     fit::components::TexelSeen, material::edit::apply_edit, material::shown::recovered_material, prelude::*,
 };
@@ -257,20 +257,20 @@ fn metal_beside_paint_gets_a_material_of_its_own_and_paint_alone_keeps_one() {
 // Albedo that depends on the side from which it is seen.
 
 /// Red along the surface.
-const SHEEN: DiffuseSheen = DiffuseSheen(Vec3::new(0.35, -0.1, -0.1));
+const SHEEN: Vec3 = Vec3::new(0.35, -0.1, -0.1);
 /// Brighter from +X.
-const TILT: DiffuseTilt = DiffuseTilt(Vec3::new(0.5, 0.0, 0.0));
+const TILT: Vec3 = Vec3::new(0.5, 0.0, 0.0);
 
-/// Gives all texels of an object the same value.
-fn fill<C: Component<Mutability = bevy_ecs::component::Mutable> + Copy>(pipeline: &mut Pipeline, value: C) {
-    pipeline.world.query::<&mut C>().iter_mut(&mut pipeline.world).for_each(|mut of| *of = value);
+/// The object, with all its texels changed.
+fn with_texels(mut pipeline: Pipeline, change: impl Fn(&mut Diffuse)) -> Pipeline {
+    let mut texels = pipeline.world.query::<&mut Diffuse>();
+    texels.iter_mut(&mut pipeline.world).for_each(|mut texel| change(&mut texel));
+    pipeline
 }
 
 /// The studio, with a sheen or without.
-fn cloth(sheen: DiffuseSheen) -> Pipeline {
-    let mut pipeline = studio(&day());
-    fill(&mut pipeline, sheen);
-    pipeline
+fn cloth(sheen: Vec3) -> Pipeline {
+    with_texels(studio(&day()), |texel| texel.sheen = sheen)
 }
 
 /// The studio with one albedo on all texels.
@@ -279,10 +279,8 @@ fn plain_studio(albedo: Vec3) -> Pipeline {
 }
 
 /// One with this tilt.
-fn velvet(tilt: DiffuseTilt) -> Pipeline {
-    let mut pipeline = plain_studio(Vec3::new(0.5, 0.4, 0.3));
-    fill(&mut pipeline, tilt);
-    pipeline
+fn velvet(tilt: Vec3) -> Pipeline {
+    with_texels(plain_studio(Vec3::new(0.5, 0.4, 0.3)), |texel| texel.tilt = tilt)
 }
 
 fn sum(colors: &[Vec3]) -> Vec3 {
@@ -303,18 +301,18 @@ fn closed_form_and_path_tracer_show_the_same_sheen_and_tilt() {
     let [closed, traced] = both_shadings(cloth(SHEEN), view);
     assert!((closed.element_sum() / traced.element_sum() - 1.0).abs() < 0.03, "{closed} {traced}");
     assert!((closed.x / traced.x - 1.0).abs() < 0.03, "{closed} {traced}");
-    assert!(closed.x > 1.1 * sum(&shoot(&mut cloth(DiffuseSheen::default()), view).color).x);
+    assert!(closed.x > 1.1 * sum(&shoot(&mut cloth(Vec3::ZERO), view).color).x);
     for (eye, brighter) in [([1.0, 0.2, 0.4], true), ([-1.0, 0.2, 0.4], false)] {
         let view = camera(eye, 24);
         let [closed, traced] = both_shadings(velvet(TILT), view).map(Vec3::element_sum);
         assert!((closed / traced - 1.0).abs() < 0.03, "{closed} {traced}");
-        let factor = closed / sum(&shoot(&mut velvet(DiffuseTilt::default()), view).color).element_sum();
+        let factor = closed / sum(&shoot(&mut velvet(Vec3::ZERO), view).color).element_sum();
         assert!(if brighter { factor > 1.03 } else { factor < 0.97 }, "{factor}");
     }
 }
 
 /// A fit of the albedo of twelve photographs of `truth` under the known light.
-fn fitted_cloth(truth: DiffuseSheen, options: FitOptions, prepare: impl FnOnce(&mut World)) -> Pipeline {
+fn fitted_cloth(truth: Vec3, options: FitOptions, prepare: impl FnOnce(&mut World)) -> Pipeline {
     let mut pipeline = studio(&day());
     pipeline.add_plugin(&FitPlugin);
     spawn_views(&mut pipeline.world, photographs_of(&mut cloth(truth), 12, 48, |_, _| {}));
@@ -327,34 +325,33 @@ fn fitted_cloth(truth: DiffuseSheen, options: FitOptions, prepare: impl FnOnce(&
 
 #[test]
 fn a_fit_finds_a_sheen_and_none_where_there_is_none() {
-    let found = |truth: DiffuseSheen| {
+    let found = |truth: Vec3| {
         let looks = FitOptions { looks_for_sheen: true, ..FitOptions::default() };
         let mut fitted = fitted_cloth(truth, looks, |_| ());
-        let sheen = column::<DiffuseSheen>(&mut fitted.world);
-        let moved: Vec<Vec3> = sheen.iter().map(|of| of.0).filter(|of| *of != Vec3::ZERO).collect();
+        let texels = column::<Diffuse>(&mut fitted.world);
+        let moved: Vec<Vec3> = texels.iter().map(|of| of.sheen).filter(|of| *of != Vec3::ZERO).collect();
         sum(&moved) / moved.len().max(1) as f32
     };
     let red = found(SHEEN);
-    assert!((red - SHEEN.0).length() < 0.15, "{red}");
-    assert_eq!(found(DiffuseSheen::default()), Vec3::ZERO);
+    assert!((red - SHEEN).length() < 0.15, "{red}");
+    assert_eq!(found(Vec3::ZERO), Vec3::ZERO);
 }
 
 #[test]
 fn an_unknown_albedo_is_fitted_beside_a_known_one_along_the_surface() {
-    let truth = column::<DiffuseAlbedo>(&mut studio(&day()).world);
-    let along: Vec<Vec3> = truth.iter().map(|albedo| albedo.0 + SHEEN.0).collect();
+    let truth = column::<Diffuse>(&mut cloth(SHEEN).world);
+    let along: Vec<Vec3> = truth.iter().map(Diffuse::along).collect();
     let initialize = Initialize { light: false, albedo: true, specular: false };
     let mut pipeline = fitted_cloth(SHEEN, FitOptions { initialize, ..FitOptions::default() }, |world| {
         world.insert_resource(KnownAlong::Texels(along.clone()));
-        write_albedo(world, vec![Vec3::splat(0.4); along.len()]).unwrap();
+        write_albedo(world, &vec![Vec3::splat(0.4); along.len()]).unwrap();
     });
     let world = &mut pipeline.world;
-    let found = column::<DiffuseAlbedo>(world);
-    let sheen = column::<DiffuseSheen>(world);
-    assert!((0..along.len()).all(|i| (found[i].0 + sheen[i].0).abs_diff_eq(along[i], 1e-6)));
+    let found = column::<Diffuse>(world);
+    assert!(found.iter().zip(&along).all(|(found, along)| found.along().abs_diff_eq(*along, 1e-6)));
     let seen = column::<TexelSeen>(world);
     let well = (0..along.len()).filter(|i| seen[*i].0 > 1.0);
-    let off: Vec<f32> = well.map(|i| (found[i].0 - truth[i].0).abs().max_element()).collect();
+    let off: Vec<f32> = well.map(|i| (found[i].albedo - truth[i].albedo).abs().max_element()).collect();
     let mean = off.iter().sum::<f32>() / off.len() as f32;
     assert!(off.len() > 100 && mean < 0.03, "{mean} over {}", off.len());
 }
@@ -407,15 +404,15 @@ fn all_photographs_together_tell_the_tilt() {
         };
         total(-1.0, &mut pipeline) / total(1.0, &mut pipeline)
     };
-    let [truth, plain] = [TILT, DiffuseTilt::default()].map(|tilt| sides(velvet(tilt)));
+    let [truth, plain] = [TILT, Vec3::ZERO].map(|tilt| sides(velvet(tilt)));
     assert!(truth < 0.9 * plain, "{truth} {plain}");
     let found = |truth, tilt| {
         let photographs = photographs_of(&mut velvet(truth), 40, 48, |_, _| ());
-        sides(solved(velvet(DiffuseTilt::default()), photographs, tilt))
+        sides(solved(velvet(Vec3::ZERO), photographs, tilt))
     };
     let tilted = found(TILT, true);
     assert!((tilted / truth - 1.0).abs() < 0.03, "{tilted} {truth}");
-    let none = found(DiffuseTilt::default(), true);
+    let none = found(Vec3::ZERO, true);
     assert!((none / plain - 1.0).abs() < 0.01, "{none} {plain}");
     let unasked = found(TILT, false);
     assert!(unasked > 1.05 * truth, "{unasked} {truth}");
@@ -427,10 +424,10 @@ fn an_edit_of_the_color_leaves_as_much_tilt_as_it_leaves_color() {
     let after = |action: EditAction| {
         let mut state = material.clone();
         apply_edit(&mut state, EditTarget::Diffuse, &action, &EditRegion(None)).unwrap();
-        state.tilt[7].0
+        state.diffuse[7].tilt
     };
-    assert_eq!(after(EditAction::Scale(Vec3::splat(0.5))), TILT.0);
-    assert_eq!(after(EditAction::Blend { value: Vec3::ONE, weight: 0.75 }), 0.25 * TILT.0);
+    assert_eq!(after(EditAction::Scale(Vec3::splat(0.5))), TILT);
+    assert_eq!(after(EditAction::Blend { value: Vec3::ONE, weight: 0.75 }), 0.25 * TILT);
     assert_eq!(after(EditAction::Set(Vec3::X)), Vec3::ZERO);
 }
 
@@ -485,9 +482,9 @@ fn a_saved_tilt_opens_with_the_same_bits_and_none_is_saved_where_none_is_wanted(
 
 /// The albedo of the texels that are well seen; those that no view sees stay gray.
 fn well_seen(mut solved: Pipeline) -> Vec<Vec3> {
-    let albedo = column::<DiffuseAlbedo>(&mut solved.world);
+    let diffuse = column::<Diffuse>(&mut solved.world);
     let seen = column::<TexelSeen>(&mut solved.world);
-    let texels = || albedo.iter().map(|albedo| albedo.0).zip(seen.iter().map(|seen| seen.0));
+    let texels = || diffuse.iter().map(|texel| texel.albedo).zip(seen.iter().map(|seen| seen.0));
     assert!(texels().filter(|texel| texel.1 == 0.0).all(|(albedo, _)| albedo == Vec3::splat(0.4)));
     texels().filter(|texel| texel.1 > 4.0).map(|texel| texel.0).collect()
 }

@@ -7,7 +7,7 @@ use bevy_ecs::system::SystemState;
 use criterion::Criterion;
 use glam::Vec3;
 use lobelia::fit::components::{AdamStep, AlbedoGradient, AlbedoMoments, Moments};
-use lobelia::material::{DiffuseAlbedo, TexelIndex, Texels};
+use lobelia::material::{Diffuse, TexelIndex, Texels};
 use std::hint::black_box;
 
 /// Texels of a 512 × 512 atlas.
@@ -16,40 +16,40 @@ const TEXELS: usize = 512 * 512;
 #[derive(Component)]
 struct Marked;
 
-type Columns = (&'static mut DiffuseAlbedo, &'static mut AlbedoGradient, &'static mut AlbedoMoments);
+type Columns = (&'static mut Diffuse, &'static mut AlbedoGradient, &'static mut AlbedoMoments);
 
 fn world() -> World {
     let mut world = World::new();
     let gradient = |i: u32| AlbedoGradient(Vec3::splat((i % 17) as f32 - 8.0));
     let texel = |i: u32| {
-        (TexelIndex(i), DiffuseAlbedo(Vec3::splat(0.5)), gradient(i), AlbedoMoments(Moments::default()))
+        (TexelIndex(i), Diffuse::of_albedo(Vec3::splat(0.5)), gradient(i), AlbedoMoments(Moments::default()))
     };
     world.spawn_batch((0..TEXELS as u32).map(texel).collect::<Vec<_>>());
     world
 }
 
-fn step(albedo: &mut [DiffuseAlbedo], gradient: &[AlbedoGradient], moments: &mut [AlbedoMoments]) {
+fn step(texels: &mut [Diffuse], gradient: &[AlbedoGradient], moments: &mut [AlbedoMoments]) {
     let adam = AdamStep::new(1e-3, 10);
-    for ((albedo, gradient), moments) in albedo.iter_mut().zip(gradient).zip(moments) {
+    for ((texel, gradient), moments) in texels.iter_mut().zip(gradient).zip(moments) {
         let step = adam.advance(&mut moments.0, &gradient.0.to_array());
-        albedo.0 -= Vec3::from(step);
+        texel.albedo -= Vec3::from(step);
     }
 }
 
 fn by_pool(world: &mut World, state: &mut SystemState<Texels<Columns>>) {
     let texels = state.get_mut(world).expect("the world has texels");
-    let (mut albedo, gradient, moments) = texels.columns().expect("the pool is whole");
+    let (mut texels, gradient, moments) = texels.columns().expect("the pool is whole");
     let mut moments = moments.quiet();
-    step(&mut albedo, &gradient, &mut moments);
+    step(&mut texels, &gradient, &mut moments);
 }
 
 pub fn pool(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("pool");
-    let mut albedo = vec![DiffuseAlbedo(Vec3::splat(0.5)); TEXELS];
+    let mut texels = vec![Diffuse::of_albedo(Vec3::splat(0.5)); TEXELS];
     let gradient: Vec<_> = (0..TEXELS).map(|i| AlbedoGradient(Vec3::splat((i % 17) as f32 - 8.0))).collect();
     let mut moments = vec![AlbedoMoments::default(); TEXELS];
     group.bench_function("plain Vec", |b| {
-        b.iter(|| step(black_box(&mut albedo), black_box(&gradient), black_box(&mut moments)));
+        b.iter(|| step(black_box(&mut texels), black_box(&gradient), black_box(&mut moments)));
     });
     let mut spawned = world();
     let mut state = SystemState::new(&mut spawned);
@@ -60,13 +60,13 @@ pub fn pool(criterion: &mut Criterion) {
     split.entity_mut(texel).insert(Marked);
     let mut state = SystemState::new(&mut split);
     group.bench_function("pool with a marker on one texel", |b| b.iter(|| by_pool(&mut split, &mut state)));
-    let mut query = spawned.query::<(&mut DiffuseAlbedo, &AlbedoGradient, &mut AlbedoMoments)>();
+    let mut query = spawned.query::<(&mut Diffuse, &AlbedoGradient, &mut AlbedoMoments)>();
     group.bench_function("query, entity by entity", |b| {
         b.iter(|| {
             let adam = AdamStep::new(1e-3, 10);
-            for (mut albedo, gradient, moments) in query.iter_mut(&mut spawned) {
+            for (mut texel, gradient, moments) in query.iter_mut(&mut spawned) {
                 let step = adam.advance(&mut Mut::into_inner(moments).0, &gradient.0.to_array());
-                albedo.0 -= Vec3::from(step);
+                texel.albedo -= Vec3::from(step);
             }
         });
     });

@@ -21,10 +21,10 @@ use lobelia_io::codec::{
     envmap::write_map_hdr, file::write_bytes, gltf::export::write_glb, image::encode_png,
 };
 use lobelia_sg::{color::srgb_from_linear, ray::Hit, reflectance::ANGLES, sg::sphere_integral};
+use lobelia_world::light::convention::MapConvention;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::light::{EnvironmentMap, LightLobe, render_lobes, rotate_lobes};
-use lobelia_world::material::{SpecularBlend, SpecularLobe, edit::MaterialState};
-use lobelia_world::{light::convention::MapConvention, material::sheen::mean_albedo};
+use lobelia_world::material::{Diffuse, SpecularBlend, SpecularLobe, edit::MaterialState};
 use std::{f32::consts::TAU, path::Path, path::PathBuf, sync::Arc};
 
 /// Texture files of a USD file.
@@ -345,8 +345,7 @@ impl Exported {
 
     fn new(surface: Arc<Surface>, material: MaterialState) -> Self {
         // Other programs know no sheen of this kind: they get its mean.
-        let both = material.albedo.iter().zip(&material.sheen);
-        let albedo = both.map(|(albedo, sheen)| mean_albedo(albedo.0, sheen.0)).collect();
+        let albedo = material.diffuse.iter().map(Diffuse::mean_albedo).collect();
         let lobes: Vec<_> = material.materials().map(|(number, lobe)| (number, *lobe)).collect();
         let is_uniform = material.uniform().is_some();
         let blends = (!is_uniform).then_some(material.blends);
@@ -447,7 +446,6 @@ mod tests {
     use lobelia_io::codec::envmap::read_map;
     use lobelia_sg::{brdf::Ndf, fibonacci::fibonacci_axes};
     use lobelia_world::light::{lobes_power, lobes_radiance};
-    use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt};
 
     #[test]
     fn the_data_stay_as_they_are_unless_something_is_said() {
@@ -557,9 +555,7 @@ mod tests {
         let surface = Arc::new(Surface::new(mesh, 128).unwrap());
         let texels = surface.atlas().covered.len();
         let material = MaterialState {
-            albedo: vec![DiffuseAlbedo(Vec3::splat(0.5)); texels],
-            sheen: vec![DiffuseSheen::default(); texels],
-            tilt: vec![DiffuseTilt::default(); texels],
+            diffuse: vec![Diffuse::of_albedo(Vec3::splat(0.5)); texels],
             blends: vec![SpecularBlend::default(); texels],
             lobes: vec![Some(SpecularLobe { ndf: Ndf::Sg, ..SpecularLobe::new(Vec3::splat(0.04), 0.4) })],
         };

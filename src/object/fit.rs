@@ -51,12 +51,12 @@ use lobelia_solve::shape::{run::training_silhouettes, vertices::MovingMesh, vert
 use lobelia_solve::visibility::ObjectVisibility;
 use lobelia_world::checkpoint::{self, Span, is_due, keep_part, keep_resource, resume_part};
 use lobelia_world::light::{LightLobe, groups::FittedLobe, light_frame::OwnLightFrame};
+use lobelia_world::material::diffuse::{Diffuse, KnownAlong, has_sheen, has_tilt, write_albedo};
 use lobelia_world::material::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe,
-    TexelIndex, first_material, recovered_albedo, replace_materials, sheen::KnownAlong, sheen::has_sheen,
-    sheen::write_albedo, shown::recovered_material, texels_in_order, tilt::has_tilt,
+    BaseMaterial, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, first_material,
+    replace_materials, shown::recovered_material, texels_in_order,
 };
-use lobelia_world::pipeline::pool::{despawn_rows, read_column, write_column};
+use lobelia_world::pipeline::pool::{despawn_rows, read_column, with_columns, write_column};
 use lobelia_world::pipeline::{Phase, Slot};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
@@ -321,7 +321,7 @@ fn try_several(object: &mut Object, pass: &FitPass, before: &FitOptions, one: &S
     }
     if initialize.albedo {
         let texels = world.query::<&TexelIndex>().iter(world).len();
-        write_albedo(world, vec![Vec3::splat(0.4); texels])?;
+        write_albedo(world, &vec![Vec3::splat(0.4); texels])?;
     }
     let light_frame = world.get_resource::<OwnLightFrame>().map(|own| own.0);
     object.found().several = true;
@@ -499,21 +499,19 @@ fn fill_texels(object: &mut Object) -> Result<usize> {
         values
     };
     if unknowns.albedo {
-        let albedo = recovered_albedo(world)?;
-        let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
-        let tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
-        let filled = fill(albedo.clone());
-        if has_sheen(&sheen) {
+        let albedo = with_columns::<TexelIndex, &mut Diffuse, _>(world, |mut texels| {
+            let filled = |of: fn(&Diffuse) -> Vec3| fill(texels.iter().map(of).collect());
+            let albedo = filled(|texel| texel.albedo);
             // Their albedo along the surface is that of their neighbors.
-            let along = fill(albedo.iter().zip(&sheen).map(|(albedo, sheen)| *albedo + sheen.0).collect());
-            let sheen = along.iter().zip(&filled).map(|(along, straight)| DiffuseSheen(*along - *straight));
-            write_column::<TexelIndex, DiffuseSheen>(world, &sheen.collect::<Vec<_>>())?;
-        }
-        if has_tilt(&tilt) {
-            let tilt = fill(tilt.iter().map(|tilt| tilt.0).collect()).into_iter().map(DiffuseTilt);
-            write_column::<TexelIndex, DiffuseTilt>(world, &tilt.collect::<Vec<_>>())?;
-        }
-        write_albedo(world, filled)?;
+            let along = has_sheen(&texels).then(|| filled(Diffuse::along));
+            let tilt = has_tilt(&texels).then(|| filled(|texel| texel.tilt));
+            for (i, texel) in texels.iter_mut().enumerate() {
+                texel.sheen = along.as_ref().map_or(texel.sheen, |along| along[i] - albedo[i]);
+                texel.tilt = tilt.as_ref().map_or(texel.tilt, |tilt| tilt[i]);
+            }
+            Ok(albedo)
+        })?;
+        write_albedo(world, &albedo)?;
     }
     if unknowns.blends {
         let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
@@ -575,14 +573,10 @@ fn factor_for(object: &mut Object) -> u32 {
     ((atlas.texel_size() / pixel).round() as u32).min(most).max(1)
 }
 
-/// Replaces the texels by texels whose material is that of the old ones at these places: albedo and
-/// sheen between them, the rest of the nearest.
+/// Replaces the texels by texels whose material is that of the old ones at these places: diffuse
+/// between them, the rest of the nearest.
 fn divide_texels(world: &mut World, from: &[TexelAddress]) -> Result<()> {
-    let albedo: Vec<Vec3> = recovered_albedo(world)?;
-    let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
-    let sheen: Vec<Vec3> = sheen.into_iter().map(|sheen| sheen.0).collect();
-    let tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
-    let tilt: Vec<Vec3> = tilt.into_iter().map(|tilt| tilt.0).collect();
+    let diffuse = read_column::<TexelIndex, Diffuse>(world)?;
     let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
     let seen = read_column::<TexelIndex, TexelSeen>(world)?;
     let gloss = read_column::<TexelIndex, TexelRoughness>(world).ok();
@@ -597,8 +591,8 @@ fn divide_texels(world: &mut World, from: &[TexelAddress]) -> Result<()> {
     despawn_rows(world, &old);
     // With all their components at once: bevy would keep the room of a table that they leave.
     world.spawn_batch((0..).map(TexelIndex).zip(from).map(|(index, at)| {
-        let (sheen, tilt) = (DiffuseSheen(at.blend(&sheen)), DiffuseTilt(at.blend(&tilt)));
-        (index, DiffuseAlbedo(at.blend(&albedo)), sheen, tilt, blends[nearest(at)], seen[nearest(at)])
+        let diffuse = Diffuse::mixed(at, |texel| diffuse[texel]);
+        (index, diffuse, blends[nearest(at)], seen[nearest(at)])
     }));
     if let Some(gloss) = gloss.filter(|gloss| !gloss.is_empty()) {
         for (texel, at) in texels_in_order(world).into_iter().zip(from) {

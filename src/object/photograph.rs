@@ -15,7 +15,7 @@ use lobelia_world::light::{
     groups::GroupLight as NamedLight, light_frame::LightFrame, placement::LightGroup,
     placement::PicturePlacement,
 };
-use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, edit::MaterialState};
+use lobelia_world::material::{Diffuse, SpecularBlend, edit::MaterialState};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 use lobelia_world::{material::shown::show_edited, material::shown::spawn_material, sample::point::Scenery};
 use std::sync::Arc;
@@ -43,13 +43,10 @@ impl TrueObject {
         let scenery: Arc<dyn Intersect> = surface.clone();
         pipeline.world.insert_resource(Scenery(scenery));
         let truth = &spec.truth;
-        let albedo = surface.atlas().position.iter().map(|p| DiffuseAlbedo(pattern_at(&truth.albedo, *p)));
-        let albedo: Vec<DiffuseAlbedo> = albedo.collect();
-        let blends = vec![SpecularBlend::default(); albedo.len()];
-        let sheen = vec![DiffuseSheen::default(); albedo.len()];
-        let tilt = vec![DiffuseTilt::default(); albedo.len()];
-        let lobes = vec![Some(truth.specular)];
-        let mut material = MaterialState { albedo, sheen, tilt, blends, lobes };
+        let albedo = surface.atlas().position.iter().map(|p| pattern_at(&truth.albedo, *p));
+        let diffuse: Vec<Diffuse> = albedo.map(Diffuse::of_albedo).collect();
+        let blends = vec![SpecularBlend::default(); diffuse.len()];
+        let mut material = MaterialState { diffuse, blends, lobes: vec![Some(truth.specular)] };
         apply_edits(&mut material, &truth.edits, surface)?;
         spawn_material(&mut pipeline.world, &material);
         // Rotations of the object in the rounds of photographs.

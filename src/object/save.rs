@@ -16,8 +16,8 @@ use lobelia_sg::brdf::Ndf;
 use lobelia_solve::fit::cameras::CameraFit;
 use lobelia_world::light::placement::{PlacementTurn, Placements, TurnSource};
 use lobelia_world::light::{LightLobe, groups::lobes_of_group, light_frame::OwnLightFrame};
-use lobelia_world::material::sheen::has_sheen;
-use lobelia_world::material::{SpecularBlend, SpecularLobe, edit::MaterialState, tilt::has_tilt};
+use lobelia_world::material::diffuse::{Diffuse, has_sheen, has_tilt};
+use lobelia_world::material::{SpecularBlend, SpecularLobe, edit::MaterialState};
 use std::path::{Path, PathBuf};
 
 /// Channels of colors.
@@ -94,23 +94,22 @@ impl Appearance<'_> {
 /// # Errors
 /// If a file cannot be written.
 pub fn write_material(folder: &Path, material: &MaterialState, atlas: &TexelAtlas) -> Result<Material> {
-    let write = |name: &str, channels: [&str; 3], values: &[Vec3]| {
-        write_layers(&folder.join(name), atlas, vector_channels(channels, values)).map(|()| name.into())
+    let write = |name: &str, channels: [&str; 3], of: fn(&Diffuse) -> Vec3| {
+        let values: Vec<Vec3> = material.diffuse.iter().map(of).collect();
+        write_layers(&folder.join(name), atlas, vector_channels(channels, &values)).map(|()| name.into())
     };
-    let albedo: Vec<Vec3> = material.albedo.iter().map(|albedo| albedo.0).collect();
     let mut saved = Material {
-        albedo: Albedo::Fixed(AlbedoSource::Texture(write("albedo.exr", RGB, &albedo)?)),
+        albedo: Albedo::Fixed(AlbedoSource::Texture(write("albedo.exr", RGB, |texel| texel.albedo)?)),
         sheen: Sheen::None,
         tilt: Tilt::None,
         ..Material::default()
     };
-    if has_sheen(&material.sheen) {
-        let along: Vec<Vec3> = albedo.iter().zip(&material.sheen).map(|(a, sheen)| *a + sheen.0).collect();
-        saved.sheen = Sheen::Fixed(AlbedoSource::Texture(write("albedo_along.exr", RGB, &along)?));
+    if has_sheen(&material.diffuse) {
+        let along = write("albedo_along.exr", RGB, Diffuse::along)?;
+        saved.sheen = Sheen::Fixed(AlbedoSource::Texture(along));
     }
-    if has_tilt(&material.tilt) {
-        let tilt: Vec<Vec3> = material.tilt.iter().map(|tilt| tilt.0).collect();
-        saved.tilt = Tilt::Fixed(write("albedo_tilt.exr", ["X", "Y", "Z"], &tilt)?);
+    if has_tilt(&material.diffuse) {
+        saved.tilt = Tilt::Fixed(write("albedo_tilt.exr", ["X", "Y", "Z"], |texel| texel.tilt)?);
     }
     if let Some(one) = material.uniform() {
         saved.specular = Specular {

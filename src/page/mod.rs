@@ -16,8 +16,7 @@ use lobelia_geometry::{Result, mesh::Surface};
 use lobelia_io::codec::tone::MAT;
 use lobelia_sg::{brdf::Ndf, color::srgb_from_linear};
 use lobelia_solve::visibility::ObjectVisibility;
-use lobelia_world::material::sheen::has_sheen;
-use lobelia_world::material::tilt::has_tilt;
+use lobelia_world::material::diffuse::{Diffuse, has_sheen, has_tilt};
 use lobelia_world::{light::LightLobe, light::light_frame::LightFrame, material::edit::MaterialState};
 use pack::{Pack, pack_mesh, pack_visibility};
 use serde_json::{Value, json};
@@ -142,16 +141,16 @@ fn describe(contents: &Contents, pack: &mut Pack) -> Result<Value> {
     let atlas = surface.atlas();
     let (center, radius) = surface.bounding_sphere();
     let mesh = pack_mesh(pack, surface.mesh());
-    pack.bytes("albedo", &albedo_bytes(contents, |i| material.albedo[i].0));
-    if has_sheen(&material.sheen) {
-        pack.bytes("along", &albedo_bytes(contents, |i| material.albedo[i].0 + material.sheen[i].0));
+    pack.bytes("albedo", &albedo_bytes(contents, |texel| texel.albedo));
+    if has_sheen(&material.diffuse) {
+        pack.bytes("along", &albedo_bytes(contents, Diffuse::along));
     }
-    if has_tilt(&material.tilt) {
+    if has_tilt(&material.diffuse) {
         // Each component as 128 and 4 times a number from −31 to 31, because fewer values are
         // packed into less, and 255.
         let byte = |t: f32| (128.0 + 4.0 * (31.0 * t.clamp(-1.0, 1.0)).round()) as u8;
-        let tilts = material.tilt.iter().flat_map(|tilt| {
-            let [x, y, z] = tilt.0.to_array().map(byte);
+        let tilts = material.diffuse.iter().flat_map(|texel| {
+            let [x, y, z] = texel.tilt.to_array().map(byte);
             [x, y, z, 255]
         });
         pack.bytes("tilt", &tilts.collect::<Vec<_>>());
@@ -195,15 +194,15 @@ fn describe(contents: &Contents, pack: &mut Pack) -> Result<Value> {
 }
 
 /// sRGB albedo of each texel, and whether the texel has a place on the surface.
-fn albedo_bytes(contents: &Contents, albedo: impl Fn(usize) -> Vec3) -> Vec<u8> {
+fn albedo_bytes(contents: &Contents, albedo: impl Fn(&Diffuse) -> Vec3) -> Vec<u8> {
     let atlas = contents.surface.atlas();
-    let texel = |i: usize| {
+    let bytes = |(i, texel): (usize, &Diffuse)| {
         let byte = |value: f32| (srgb_from_linear(value) * 255.0 + 0.5) as u8;
         let there = atlas.covered[i] && atlas.normal[i] != Vec3::ZERO;
-        let [r, g, b] = albedo(i).to_array().map(byte);
+        let [r, g, b] = albedo(texel).to_array().map(byte);
         [r, g, b, if there { 255 } else { 0 }]
     };
-    (0..contents.material.albedo.len()).flat_map(texel).collect()
+    contents.material.diffuse.iter().enumerate().flat_map(bytes).collect()
 }
 
 fn camera_json(index: usize, view: &PageCamera, pack: &mut Pack) -> Value {
@@ -247,7 +246,7 @@ pub fn upright(cameras: &[PageCamera], scene_up: Vec3) -> Vec3 {
 mod tests {
     use super::*;
     use lobelia_geometry::mesh::primitive::sphere_mesh;
-    use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe};
+    use lobelia_world::material::{SpecularBlend, SpecularLobe};
     use pack::Range;
     use pack::tests::{direction, unpacked, value};
 
@@ -255,10 +254,9 @@ mod tests {
     fn page() -> String {
         let surface = Surface::new(sphere_mesh(Vec3::ZERO, 0.8).unwrap(), 16).unwrap();
         let count = surface.atlas().position.len();
+        let (albedo, bent) = (Vec3::new(0.5, 0.25, 1.0), Vec3::new(0.25, 0.0, -0.5));
         let material = MaterialState {
-            albedo: vec![DiffuseAlbedo(Vec3::new(0.5, 0.25, 1.0)); count],
-            sheen: vec![DiffuseSheen(Vec3::new(0.25, 0.0, -0.5)); count],
-            tilt: vec![DiffuseTilt(Vec3::new(0.25, 0.0, -0.5)); count],
+            diffuse: vec![Diffuse { albedo, sheen: bent, tilt: bent }; count],
             blends: vec![SpecularBlend::even(2); count],
             lobes: [(0.04, 0.5), (1.0, 0.2)]
                 .map(|(albedo, roughness)| Some(SpecularLobe::new(Vec3::splat(albedo), roughness)))

@@ -17,7 +17,6 @@ use flate2::{Compression, write::DeflateEncoder};
 use glam::{IVec3, Vec2, Vec3};
 use lobelia_geometry::{Error, Result, mesh::Surface, mesh::triangles::Mesh};
 use lobelia_solve::{visibility::ObjectVisibility, visibility::texel_visibility::TexelVisibility};
-use lobelia_world::material::sheen::mean_albedo;
 use lobelia_world::{material::MAX_SPECULAR_LOBES, material::edit::MaterialState};
 use serde_json::{Map, Value, json};
 use std::{collections::HashMap, io::Write as _};
@@ -167,7 +166,7 @@ pub(super) fn pack_visibility(
     for (texel, row) in texels.covered() {
         let patch = usize::from(of_texel[texel]);
         let normal = texels.normals[row].to_array();
-        let albedo = mean_albedo(material.albedo[texel].0, material.sheen[texel].0);
+        let albedo = material.diffuse[texel].mean_albedo();
         let values = normal.into_iter().chain(albedo.to_array()).chain(material.blends[texel].0);
         sums[patch].iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
         counts[patch] += 1.0;
@@ -252,7 +251,7 @@ pub(super) mod tests {
     use lobelia_geometry::mesh::primitive::ball_over_plate;
     use lobelia_sg::fibonacci::fibonacci_axes;
     use lobelia_solve::visibility::VisibilitySettings;
-    use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend};
+    use lobelia_world::material::{Diffuse, SpecularBlend};
     use std::io::Read as _;
 
     /// The bytes of a block.
@@ -344,9 +343,7 @@ pub(super) mod tests {
         let visibility = ObjectVisibility::new(&surface, VisibilitySettings::default());
         let count = surface.atlas().position.len();
         let material = MaterialState {
-            albedo: vec![DiffuseAlbedo::default(); count],
-            sheen: vec![DiffuseSheen::default(); count],
-            tilt: vec![DiffuseTilt::default(); count],
+            diffuse: vec![Diffuse::default(); count],
             blends: vec![SpecularBlend::even(1); count],
             lobes: vec![None],
         };

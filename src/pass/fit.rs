@@ -21,11 +21,9 @@ use lobelia_solve::fit::{components::TexelSeen, roughness::TexelRoughness};
 use lobelia_world::light::{
     EnvironmentMap, LightLobe, groups::other_lights, lights::own_lobes, render_lobes,
 };
-use lobelia_world::material::{
-    DiffuseSheen, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo, recovered_materials,
-    sheen::has_sheen,
-};
-use lobelia_world::pipeline::pool::read_column;
+use lobelia_world::material::diffuse::{Diffuse, has_sheen};
+use lobelia_world::material::{SpecularBlend, SpecularLobe, TexelIndex, recovered_materials};
+use lobelia_world::pipeline::pool::{read_column, with_columns};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -83,8 +81,8 @@ fn report(object: &mut Object, name: &str, FitFound { summary, unseen, .. }: &Fi
     ));
     if let Some(part) = summary.explained_by_sheen.map(|part| 100.0 * part) {
         let world = &mut object.pipeline.world;
-        let found = has_sheen(&read_column::<TexelIndex, DiffuseSheen>(world).unwrap_or_default());
-        let words = if found { "a sheen" } else { "no sheen" };
+        let found = with_columns::<TexelIndex, &Diffuse, _>(world, |texels| Ok(has_sheen(&texels)));
+        let words = if found.unwrap_or_default() { "a sheen" } else { "no sheen" };
         let of = "of the squared error of views kept aside";
         object.print(&format!("{name}: {words}: it explains {part:.1} % {of}"));
     }
@@ -104,13 +102,13 @@ fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &S
     for (number, (lobes, _)) in (2..).zip(other_lights(world)) {
         write_light(&lobes, folder, &format!("_{number}"))?;
     }
-    let albedo = recovered_albedo(world)?;
-    write_texture(&folder.join("albedo"), &albedo, atlas)?;
-    let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
-    if has_sheen(&sheen) {
-        let along: Vec<Vec3> = albedo.iter().zip(&sheen).map(|(albedo, sheen)| *albedo + sheen.0).collect();
-        write_texture(&folder.join("albedo_along"), &along, atlas)?;
-    }
+    with_columns::<TexelIndex, &Diffuse, _>(world, |texels| {
+        let write = |name: &str, of: fn(&Diffuse) -> Vec3| {
+            write_texture(&folder.join(name), &texels.iter().map(of).collect::<Vec<_>>(), atlas)
+        };
+        write("albedo", |texel| texel.albedo)?;
+        if has_sheen(&texels) { write("albedo_along", Diffuse::along) } else { Ok(()) }
+    })?;
     let seen = read_column::<TexelIndex, TexelSeen>(world)?;
     let marks: Vec<Vec3> = seen.iter().map(|s| Vec3::splat(if s.0 > 1e-3 { 1.0 } else { 0.0 })).collect();
     write_rgb8(folder.join("seen.png"), &preview(&marks, atlas.width, atlas.height))?;

@@ -15,9 +15,9 @@
 //! let surface = Arc::new(make_surface(&scene.surface, &[], SurfaceUse::Lasting)?.0);
 //! let mut pipeline = Pipeline::new();
 //! spawn(&mut pipeline, &scene, &surface, Vec::new(), None, &[])?;
-//! let albedo = read_column::<TexelIndex, DiffuseAlbedo>(&mut pipeline.world)?;
+//! let texels = read_column::<TexelIndex, Diffuse>(&mut pipeline.world)?;
 //! // An unknown albedo begins gray.
-//! assert_eq!(albedo, [DiffuseAlbedo(Vec3::splat(0.4)); 16 * 16]);
+//! assert_eq!(texels, [Diffuse::of_albedo(Vec3::splat(0.4)); 16 * 16]);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
@@ -41,10 +41,8 @@ use lobelia_solve::shape::hull::{check_hull, extract_parts, visual_hull};
 use lobelia_solve::{fit::priors::NormalMapPlugin, fit::priors::NormalWeight, shape::silhouette::Silhouette};
 use lobelia_world::light::placement::{LightGroup, PlacementTurn, Placements, TurnSource};
 use lobelia_world::light::{groups::spawn_group_lights, light_frame::OwnLightFrame, lights::LightMap};
-use lobelia_world::material::{
-    DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, USUAL_ALBEDO, sheen::KnownAlong, spawn_materials,
-    spawn_texels, tilt::MOST_TILT,
-};
+use lobelia_world::material::diffuse::{KnownAlong, MOST_TILT, of_albedos};
+use lobelia_world::material::{SpecularBlend, SpecularLobe, USUAL_ALBEDO, spawn_materials, spawn_texels};
 use lobelia_world::{pipeline::Pipeline, sample::point::Scenery};
 use std::{path::Path, sync::Arc};
 
@@ -98,17 +96,14 @@ pub fn spawn(
         world.spawn(LightMap(map));
     }
     insert_known_along(world, &scene.material.sheen, surface)?;
-    let sheen = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(&albedo));
-    let sheen = sheen.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()]);
-    let tilt = match &scene.material.tilt {
-        Tilt::Fixed(path) => {
-            let (width, height) = (surface.atlas().width, surface.atlas().height);
-            let known = texture::read_vectors(path, ["X", "Y", "Z"], width, height)?;
-            known.into_iter().map(|tilt| DiffuseTilt(tilt.clamp_length_max(MOST_TILT))).collect()
-        }
-        Tilt::Unknown | Tilt::None => vec![DiffuseTilt::default(); albedo.len()],
-    };
-    spawn_texels(world, &albedo, &sheen, &tilt, &blends);
+    let mut diffuse = of_albedos(world, albedo);
+    if let Tilt::Fixed(path) = &scene.material.tilt {
+        let (width, height) = (surface.atlas().width, surface.atlas().height);
+        let known = texture::read_vectors(path, ["X", "Y", "Z"], width, height)?;
+        let texels = diffuse.iter_mut().zip(known);
+        texels.for_each(|(texel, tilt)| texel.tilt = tilt.clamp_length_max(MOST_TILT));
+    }
+    spawn_texels(world, &diffuse, &blends);
     spawn_materials(world, &specular);
     Ok(())
 }

@@ -10,10 +10,10 @@
 //! with the others of a texel, by highlights and shadows that the model does not have, count less.
 //!
 //! The equations of a texel: with light, shape and specular lobes held, the radiance of a pixel is
-//! L = (ρ + g s + ρ̄ t · v⊥) u + L_s in the albedo ρ, the sheen s
-//! ([`lobelia_world::material::sheen`]) and the tilt t ([`lobelia_world::material::tilt`]) of its
-//! texels, where g = 1 − c and u is the diffuse radiance of a white surface. A pixel with residual
-//! r then says, for changes of the albedo, the sheen and the difference ρ̄ t between sides,
+//! L = (ρ + g s + ρ̄ t · v⊥) u + L_s in the albedo ρ, the sheen s and the tilt t of its texels
+//! ([`lobelia_world::material::diffuse`]), where g = 1 − c and u is the diffuse radiance of a white
+//! surface. A pixel with residual r then says, for changes of the albedo, the sheen and the
+//! difference ρ̄ t between sides,
 //!
 //! δρ + g δs + ρ̄ δt · v⊥ = r / u.
 //!
@@ -37,15 +37,11 @@ use lobelia_sg::ray::TexelAddress;
 use lobelia_sg::shading::{ClosedForm, Layers, ShadePoint};
 use lobelia_world::light::lights::{LightChoice, provide_light};
 use lobelia_world::light::placement::LightGroup;
+use lobelia_world::material::diffuse::{KnownAlong, MOST_TILT, along_surface, grazing, has_sheen};
 use lobelia_world::material::material_source::RecoveredMaterial;
-use lobelia_world::material::sheen::{KnownAlong, grazing, has_sheen, mean_albedo, write_albedo};
-use lobelia_world::material::tilt::{DirectionalAlbedo, MOST_TILT, along_surface};
-use lobelia_world::material::{
-    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, TexelIndex, recovered_materials,
-};
-use lobelia_world::pipeline::pool::read_column;
-use lobelia_world::pipeline::{GatherPoints, pool::write_column};
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
+use lobelia_world::material::{Diffuse, SpecularBlend, TexelIndex, recovered_materials};
+use lobelia_world::pipeline::pool::{read_column, write_column};
+use lobelia_world::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay};
 use lobelia_world::sample::point::SurfacePoint;
@@ -195,46 +191,42 @@ fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<(
 /// Visits all pixels, then moves albedo, sheen and tilt of all texels to the solution, within their
 /// bounds. Without any sheen so far there will be none. Breaks if the run is stopped before.
 fn sweep(world: &mut World, pixels: &[KeptPixel], options: DetailOptions) -> Result<ControlFlow<()>> {
-    let mut albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
-    let mut sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
-    let mut tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
-    let of = |i: usize| DirectionalAlbedo { albedo: albedo[i].0, sheen: sheen[i].0, tilt: tilt[i].0 };
+    let mut texels = read_column::<TexelIndex, Diffuse>(world)?;
     let is_known = world.contains_resource::<KnownAlong>();
-    let mut equations = vec![TexelEquations::default(); albedo.len()];
+    let mut equations = vec![TexelEquations::default(); texels.len()];
     for part in pixels.chunks(BATCH) {
         if is_stopping() {
             return Ok(ControlFlow::Break(()));
         }
-        add_pixels(part, of, is_known, &mut equations);
+        add_pixels(part, &texels, is_known, &mut equations);
     }
-    let (with_sheen, with_tilt) = (has_sheen(&sheen) && !is_known, options.tilt && !is_known);
+    let (with_sheen, with_tilt) = (has_sheen(&texels) && !is_known, options.tilt && !is_known);
     let materials = if options.metal { recovered_materials(world) } else { Vec::new() };
     let metals = Metals::of(materials.iter().map(|(number, lobe)| (*number, lobe)));
     let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
-    let texels = (((&mut *albedo, &mut *sheen), &mut *tilt), (&*equations, &*blends));
-    parallel::for_each_row(texels, 4096, |(((albedo, sheen), tilt), (equations, blend))| {
-        let mean = mean_albedo(albedo.0, sheen.0);
-        let change = equations.solve(with_sheen, with_tilt.then_some((mean, tilt.0)));
+    let rows = (&mut *texels, (&*equations, &*blends));
+    parallel::for_each_row(rows, 4096, |(texel, (equations, blend))| {
+        let mean = texel.mean_albedo();
+        let change = equations.solve(with_sheen, with_tilt.then_some((mean, texel.tilt)));
         let most = Vec3::splat(metals.most_diffuse(&blend.0));
-        let along = (albedo.0 + sheen.0 + change.albedo + change.sheen).clamp(Vec3::ZERO, most);
-        albedo.0 = (albedo.0 + change.albedo).clamp(Vec3::ZERO, most);
+        let along = (texel.along() + change.albedo + change.sheen).clamp(Vec3::ZERO, most);
+        texel.albedo = (texel.albedo + change.albedo).clamp(Vec3::ZERO, most);
         if with_sheen {
-            sheen.0 = along - albedo.0;
+            texel.sheen = along - texel.albedo;
         }
         // The difference between sides is what was solved for, not its part of the albedo,
         // which changes as well.
-        let now = mean_albedo(albedo.0, sheen.0);
+        let now = texel.mean_albedo();
         let part = mean.dot(now) / now.length_squared().max(LEAST_COLOR);
-        tilt.0 = ((tilt.0 + change.tilt) * part).clamp_length_max(MOST_TILT);
+        texel.tilt = ((texel.tilt + change.tilt) * part).clamp_length_max(MOST_TILT);
     });
+    world.get_resource::<KnownAlong>().into_iter().for_each(|known| known.set_sheen(&mut texels));
     // A texel that no pixel meets between texels that the fit has seen keeps what the fit has found
     // there.
     let mut seen = read_column::<TexelIndex, TexelSeen>(world)?;
     seen.iter_mut().zip(&equations).for_each(|(seen, equations)| seen.0 = seen.0.max(equations.seen));
-    write_column::<TexelIndex, DiffuseSheen>(world, &sheen)?;
-    write_column::<TexelIndex, DiffuseTilt>(world, &tilt)?;
-    write_albedo(world, albedo.into_iter().map(|albedo| albedo.0).collect())?;
-    write_column::<TexelIndex, TexelSeen>(world, &seen)?;
+    write_column::<TexelIndex, _>(world, &texels)?;
+    write_column::<TexelIndex, _>(world, &seen)?;
     Ok(ControlFlow::Continue(()))
 }
 
@@ -367,16 +359,11 @@ impl From<KeptPixel> for ShadedPixel {
     }
 }
 
-/// Adds what the pixels say to the `equations` of their texels, which now have the albedo `of`.
-/// Beside a known albedo along the surface (`is_known`) the unknown one has only its part.
-fn add_pixels(
-    pixels: &[KeptPixel],
-    of: impl Fn(usize) -> DirectionalAlbedo,
-    is_known: bool,
-    equations: &mut [TexelEquations],
-) {
+/// Adds what the pixels say to the `equations` of their texels, as these are now. Beside a known
+/// albedo along the surface (`is_known`) the unknown one has only its part.
+fn add_pixels(pixels: &[KeptPixel], texels: &[Diffuse], is_known: bool, equations: &mut [TexelEquations]) {
     for pixel in pixels.iter().map(|kept| ShadedPixel::from(*kept)) {
-        let albedo = DirectionalAlbedo::mixed(&pixel.texels, &of);
+        let albedo = Diffuse::mixed(&pixel.texels, |texel| texels[texel]);
         let predicted = albedo.seen_at(pixel.facing, pixel.side) * pixel.unit + pixel.specular;
         let residual = -pixel.observed.differences(predicted);
         if !(pixel.unit.is_finite() && residual.is_finite()) {

@@ -19,11 +19,9 @@ use lobelia_sg::shading::{Layers, LobeColumns, PointAdjoint, RadianceAdjoint, Sh
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::groups::FittedLobe;
 use lobelia_world::light::lights::IncidentLight;
-use lobelia_world::material::{
-    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
-};
+use lobelia_world::material::{Diffuse, SpecularBlend, SpecularLobe, TexelIndex};
 use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::read_column;
+use lobelia_world::pipeline::pool::with_columns;
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{Observed, PixelOf};
 use lobelia_world::sample::point::SurfacePoint;
@@ -274,14 +272,16 @@ pub fn check_parameters(world: &mut World) -> Result<()> {
     if let Some((name, problem)) = views.iter(world).find_map(|(name, c)| Some((name, c.check().err()?))) {
         return Err(Error::run("fit", format!("the camera of view {} is lost: {problem}", name.0)));
     }
-    check_texels(world, "albedo", |albedo: &DiffuseAlbedo| albedo.0.is_finite())?;
-    check_texels(world, "sheen", |sheen: &DiffuseSheen| sheen.0.is_finite())?;
-    check_texels(world, "tilt", |tilt: &DiffuseTilt| tilt.0.is_finite())?;
+    check_texels(world, "albedo", |texel: &Diffuse| texel.albedo.is_finite())?;
+    check_texels(world, "sheen", |texel: &Diffuse| texel.sheen.is_finite())?;
+    check_texels(world, "tilt", |texel: &Diffuse| texel.tilt.is_finite())?;
     check_texels(world, "blend", |blend: &SpecularBlend| blend.0.iter().all(|weight| weight.is_finite()))
 }
 
 fn check_texels<T: Component + Copy>(world: &mut World, what: &str, is_finite: fn(&T) -> bool) -> Result<()> {
-    check_all(&format!("the {what} of texel"), read_column::<TexelIndex, T>(world)?.iter().map(is_finite))
+    with_columns::<TexelIndex, &T, _>(world, |column| {
+        check_all(&format!("the {what} of texel"), column.iter().map(is_finite))
+    })
 }
 
 /// Checks numbers of a surface that was found, such as values of a field or coordinates of

@@ -29,7 +29,7 @@ use lobelia_world::material::{
 };
 use lobelia_world::sample::point::SurfacePoint;
 use lobelia_world::sample::{Observation, Observations, light_rotations};
-use lobelia_world::{light::groups::light_groups, light::lights::LobeOf, material::sheen::write_albedo};
+use lobelia_world::{light::groups::light_groups, light::lights::LobeOf, material::diffuse::write_albedo};
 use std::ops::Range;
 use std::{borrow::Cow, f32::consts::FRAC_1_PI};
 use tracing::info_span;
@@ -89,7 +89,7 @@ pub(crate) fn initialize_light_and_albedo(
         }
         exchange_light(world, group);
     }
-    write_albedo(world, texels)
+    write_albedo(world, &texels)
 }
 
 /// The occlusion of the object, without the light of the last update, if it is `shadowed`.

@@ -13,8 +13,7 @@ use bevy_ecs::prelude::{Query, Res};
 use glam::Vec3;
 use lobelia_geometry::parallel;
 use lobelia_world::material::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, Texels,
-    USUAL_ALBEDO,
+    BaseMaterial, Diffuse, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, Texels, USUAL_ALBEDO,
 };
 use lobelia_world::pipeline::SystemResult;
 
@@ -125,22 +124,21 @@ pub fn bound_diffuse_albedo(
     (unknowns, rates): (Res<Unknowns>, Res<StepRates>),
     places: Res<TexelPlaces>,
     materials: Query<(&BaseMaterial, &SpecularLobe)>,
-    texels: Texels<(&mut DiffuseAlbedo, &mut DiffuseSheen, &SpecularBlend)>,
+    texels: Texels<(&mut Diffuse, &SpecularBlend)>,
 ) -> SystemResult {
     if !unknowns.metal || !unknowns.albedo || !unknowns.blends {
         return Ok(());
     }
     let metals = Metals::in_fit(&unknowns, materials);
-    let (mut albedo, mut sheen, blends) = texels.columns()?;
+    let (mut texels, blends) = texels.columns()?;
     if places.positions.len() != blends.len() {
         return Ok(());
     }
     let decay = DECAY * rates.albedo;
-    let texels = ((&mut *albedo, &mut *sheen), &*blends);
-    parallel::for_each_row(texels, 4096, |((albedo, sheen), blend)| {
+    parallel::for_each_row((&mut *texels, &*blends), 4096, |(texel, blend)| {
         let left = 1.0 - (decay * metals.share(&blend.0).powi(2)).min(1.0);
-        (albedo.0, sheen.0) = (albedo.0 * left, sheen.0 * left);
-        (albedo.0, sheen.0) = within(albedo.0, sheen.0, metals.most_diffuse(&blend.0));
+        let (albedo, sheen) = (texel.albedo * left, texel.sheen * left);
+        (texel.albedo, texel.sheen) = within(albedo, sheen, metals.most_diffuse(&blend.0));
     });
     Ok(())
 }

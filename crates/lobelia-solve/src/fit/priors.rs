@@ -25,7 +25,7 @@ use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult
 use lobelia_world::sample::pixel::PixelOf;
 use lobelia_world::sample::point::SurfacePoint;
 use lobelia_world::sample::{Observation, ObservationIndex, Samples};
-use lobelia_world::{material::sheen::write_albedo, pipeline::ScatterAdjoints};
+use lobelia_world::{material::diffuse::write_albedo, pipeline::ScatterAdjoints};
 
 /// Rounds of the mean on each texel and the factor of each map.
 const ROUNDS: usize = 4;
@@ -146,7 +146,7 @@ pub(super) fn follow_maps(world: &mut World, metal: bool, begins: bool) -> Resul
     }
     if begins {
         let albedo = means.into_iter().map(|mean| (mean * level).clamp(Vec3::ZERO, Vec3::ONE));
-        write_albedo(world, albedo.collect())?;
+        write_albedo(world, &albedo.collect::<Vec<_>>())?;
     }
     Ok(true)
 }

@@ -17,7 +17,7 @@ use glam::{UVec3, Vec3};
 use lobelia_geometry::mesh::atlas::TexelAtlas;
 use lobelia_geometry::parallel;
 use lobelia_world::material::material_source::BaseMaterials;
-use lobelia_world::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, Texels, texels_in_order};
+use lobelia_world::material::{Diffuse, MAX_SPECULAR_LOBES, SpecularBlend, Texels, texels_in_order};
 use lobelia_world::pipeline::SystemResult;
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::point::SurfacePoint;
@@ -292,13 +292,14 @@ impl RoughnessPrior {
 fn add_variation(
     prior: &RoughnessPrior,
     roughness: &[TexelRoughness],
-    albedo: &[DiffuseAlbedo],
+    texels: &[Diffuse],
     gradients: &mut [BlendGradient],
 ) {
     let weight = prior.smoothness / prior.neighbors.len().max(1) as f32;
     let logs = |g: &TexelRoughness| [g.roughness.ln(), g.share.ln()];
     for [a, b] in prior.neighbors.iter().map(|pair| pair.map(|texel| texel as usize)) {
-        let apart = chromaticity(albedo[a].0).distance(chromaticity(albedo[b].0)) / prior.color_width;
+        let apart = chromaticity(texels[a].albedo).distance(chromaticity(texels[b].albedo));
+        let apart = apart / prior.color_width;
         let tie = weight / (1.0 + apart * apart);
         let (of_a, of_b) = (logs(&roughness[a]), logs(&roughness[b]));
         for k in 0..2 {
@@ -344,14 +345,14 @@ pub(crate) fn move_roughness(
     places: Res<TexelPlaces>,
     prior: Res<RoughnessPrior>,
     texels: Texels<(
-        &DiffuseAlbedo,
+        &Diffuse,
         &mut TexelRoughness,
         &mut SpecularBlend,
         &mut BlendGradient,
         &mut RoughnessMoments,
     )>,
 ) -> SystemResult {
-    let (albedo, mut roughness, mut blends, gradients, moments) = texels.columns()?;
+    let (texels, mut roughness, mut blends, gradients, moments) = texels.columns()?;
     let (mut gradients, mut moments) = (gradients.quiet(), moments.quiet());
     if !unknowns.blends || places.positions.len() != gradients.len() {
         gradients.fill(BlendGradient::default());
@@ -363,7 +364,7 @@ pub(crate) fn move_roughness(
         gradient.0[..2].copy_from_slice(&adjoint);
     }
     average_over_cells(&places.positions, &mut gradients, places.cells());
-    add_variation(&prior, &roughness, &albedo, &mut gradients);
+    add_variation(&prior, &roughness, &texels, &mut gradients);
     let adam = AdamStep::new(rates.albedo, rates.step);
     let columns = ((&mut *roughness, &mut *blends), (&mut *gradients, &mut *moments));
     parallel::for_each_row(columns, 4096, |((roughness, blend), (gradient, moments))| {
@@ -465,12 +466,12 @@ mod tests {
         let prior = RoughnessPrior { smoothness: 2.0, color_width: 0.1, varied_specular: true, neighbors };
         let roughness = [(0.2, 0.5), (0.21, 0.52), (0.4, 0.9)]
             .map(|(roughness, share)| TexelRoughness { roughness, share });
-        let albedo = [Vec3::new(0.5, 0.4, 0.3), Vec3::new(0.5, 0.45, 0.3), Vec3::new(0.3, 0.4, 0.6)]
-            .map(DiffuseAlbedo);
+        let texels = [Vec3::new(0.5, 0.4, 0.3), Vec3::new(0.5, 0.45, 0.3), Vec3::new(0.3, 0.4, 0.6)]
+            .map(Diffuse::of_albedo);
         let value = |roughness: &[TexelRoughness]| -> f64 {
             let pair = |[a, b]: &[u32; 2]| {
                 let (a, b) = (*a as usize, *b as usize);
-                let apart = chromaticity(albedo[a].0).distance(chromaticity(albedo[b].0)) / 0.1;
+                let apart = chromaticity(texels[a].albedo).distance(chromaticity(texels[b].albedo)) / 0.1;
                 let cost = |d: f64| (d * d + f64::from(KINK * KINK)).sqrt();
                 let (r, s) = (
                     f64::from(roughness[a].roughness / roughness[b].roughness),
@@ -481,7 +482,7 @@ mod tests {
             prior.neighbors.iter().map(pair).sum()
         };
         let mut gradients = [BlendGradient::default(); 3];
-        add_variation(&prior, &roughness, &albedo, &mut gradients);
+        add_variation(&prior, &roughness, &texels, &mut gradients);
         for texel in 0..3 {
             for k in 0..2 {
                 let at = |step: f32| {

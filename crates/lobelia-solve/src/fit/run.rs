@@ -40,6 +40,7 @@ use bevy_ecs::prelude::{Entity, IntoScheduleConfigs, Resource, With, World};
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
 use bevy_ecs::{prelude::Bundle, query::QueryFilter};
+use glam::Vec3;
 use lobelia_geometry::Result;
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
@@ -51,13 +52,10 @@ use lobelia_world::light::lights::{LightChoice, provide_light};
 use lobelia_world::light::placement::Placements;
 use lobelia_world::light::{groups::FittedLobe, lobes_in_use};
 use lobelia_world::material::material_source::{PlainBlends, RecoveredMaterial};
-use lobelia_world::material::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
-};
-use lobelia_world::material::{first_material, texels_in_order, tilt::has_tilt};
-use lobelia_world::pipeline::pool::read_column;
+use lobelia_world::material::{BaseMaterial, Diffuse, SpecularBlend, SpecularLobe, TexelIndex};
+use lobelia_world::material::{diffuse::has_tilt, first_material, texels_in_order};
 use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage};
-use lobelia_world::pipeline::{ScatterAdjoints, pool::write_column};
+use lobelia_world::pipeline::{ScatterAdjoints, pool::with_columns};
 use lobelia_world::sample::{ObservedWindow, despawn_pool, pixel::Window};
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
@@ -412,10 +410,12 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
                 look_for_sheen(world)?;
             }
             // A tilt belongs to the albedo that it was found with.
-            let tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
-            if has_tilt(&tilt) {
-                write_column::<TexelIndex, DiffuseTilt>(world, &vec![DiffuseTilt::default(); tilt.len()])?;
-            }
+            with_columns::<TexelIndex, &mut Diffuse, _>(world, |mut texels| {
+                if has_tilt(&texels) {
+                    texels.iter_mut().for_each(|texel| texel.tilt = Vec3::ZERO);
+                }
+                Ok(())
+            })?;
         }
         world.insert_resource(ScaleMoments::default());
         world.insert_resource(TurnSums::default());
@@ -478,9 +478,7 @@ fn keep_state(world: &mut World) {
     keep_keyed::<BaseMaterial, SpecularLobe, With<SpecularLobe>>(world, Span::Run);
     keep_keyed::<ViewIndex, Camera, With<ViewName>>(world, Span::Run);
     keep_keyed::<ViewIndex, CameraPose, With<ViewName>>(world, Span::Run);
-    keep_pool::<TexelIndex, DiffuseAlbedo>(world, Span::Run);
-    keep_pool::<TexelIndex, DiffuseSheen>(world, Span::Run);
-    keep_pool::<TexelIndex, DiffuseTilt>(world, Span::Run);
+    keep_pool::<TexelIndex, Diffuse>(world, Span::Run);
     keep_pool::<TexelIndex, SpecularBlend>(world, Span::Run);
     keep_pool::<TexelIndex, TexelRoughness>(world, Span::Run);
     keep_resource::<OwnLightFrame>(world, Span::Run);

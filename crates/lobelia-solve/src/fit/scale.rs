@@ -24,13 +24,13 @@ use lobelia_sg::sg::sphere_integral;
 use lobelia_sg::shading::{Layers, RadianceAdjoint, ShadePoint};
 use lobelia_world::light::LightLobe;
 use lobelia_world::material::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe, TexelIndex, Texels, USUAL_ALBEDO,
+    BaseMaterial, Diffuse, SpecularBlend, SpecularLobe, TexelIndex, Texels, USUAL_ALBEDO, recovered_albedo,
 };
 use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::read_column;
+use lobelia_world::pipeline::pool::with_columns;
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::point::PointBlend;
-use lobelia_world::{light::groups::FittedLobe, light::lights::own_lobes, material::sheen::write_albedo};
+use lobelia_world::{light::groups::FittedLobe, light::lights::own_lobes, material::diffuse::write_albedo};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
@@ -111,16 +111,16 @@ pub fn move_scale(
     samples: Samples<(&ShadePoint, &PointBlend, &Layers, &RadianceAdjoint)>,
     mut lobes: Query<&mut LightLobe, FittedLobe>,
     mut materials: Query<(&BaseMaterial, &mut SpecularLobe)>,
-    texels: Texels<(&mut DiffuseAlbedo, &mut DiffuseSheen, &TexelSeen, &SpecularBlend)>,
+    texels: Texels<(&mut Diffuse, &TexelSeen, &SpecularBlend)>,
 ) -> SystemResult {
     if !unknowns.light || !unknowns.albedo || *rule == ScaleRule::Free {
         return Ok(());
     }
-    let (mut albedo, mut sheen, seen, texel_blends) = texels.columns()?;
+    let (mut texels, seen, texel_blends) = texels.columns()?;
     let metals = Metals::in_fit(&unknowns, &materials);
     // Of several lights, it is the sum that has the color of lamps and skies.
     let off_gray = log_color(mean_light(lobes.iter()));
-    let mean = mean_albedo(&albedo, &seen, |texel| 1.0 - metals.share(&texel_blends[texel].0));
+    let mean = mean_albedo(&texels, &seen, |texel| 1.0 - metals.share(&texel_blends[texel].0));
     let log_factor = match *rule {
         ScaleRule::Free => Vec3::ZERO,
         ScaleRule::WhiteLight => -off_gray,
@@ -141,7 +141,8 @@ pub fn move_scale(
         }
     };
     let factor = log_factor.exp();
-    rescale(factor, lobes.iter_mut().map(|lobe| lobe.into_inner()), &mut albedo);
+    lobes.iter_mut().for_each(|mut lobe| lobe.amplitude *= factor);
+    parallel::for_each_row(&mut *texels, CHUNK, |texel| texel.albedo = divided(texel.albedo, factor));
     if unknowns.metal && unknowns.specular_albedo {
         for (_, mut lobe) in &mut materials {
             let rescaled = rescaled_metal(log_factor, *lobe);
@@ -149,9 +150,9 @@ pub fn move_scale(
         }
     }
     if unknowns.sheen {
-        for (sheen, albedo) in sheen.iter_mut().zip(&*albedo) {
-            let along = albedo.0 + sheen.0 / factor;
-            sheen.0 = along.clamp(Vec3::ZERO, Vec3::splat(MOST_ALBEDO)) - albedo.0;
+        for texel in &mut *texels {
+            let along = texel.albedo + texel.sheen / factor;
+            texel.sheen = along.clamp(Vec3::ZERO, Vec3::splat(MOST_ALBEDO)) - texel.albedo;
         }
     }
     Ok(())
@@ -214,11 +215,11 @@ pub fn start_scale(world: &mut World, rule: ScaleRule) -> Result<()> {
     if !matches!(rule, ScaleRule::Highlights { .. }) {
         return Ok(());
     }
-    let mut texels = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let mut lobes = world.query_filtered::<&mut LightLobe, FittedLobe>();
-    let log_factor = -START * log_color(mean_light(lobes.iter(world)));
-    rescale(log_factor.exp(), lobes.iter_mut(world).map(|lobe| lobe.into_inner()), &mut texels);
-    write_albedo(world, texels.into_iter().map(|texel| texel.0).collect())
+    let factor = (-START * log_color(mean_light(lobes.iter(world)))).exp();
+    lobes.iter_mut(world).for_each(|mut lobe| lobe.amplitude *= factor);
+    let albedo = recovered_albedo(world)?.into_iter().map(|albedo| divided(albedo, factor));
+    write_albedo(world, &albedo.collect::<Vec<_>>())
 }
 
 /// The current scale: mean radiance of the light over the sphere, and mean albedo of the texels
@@ -228,17 +229,14 @@ pub fn start_scale(world: &mut World, rule: ScaleRule) -> Result<()> {
 /// If the pool of texels is incomplete.
 pub fn means(world: &mut World) -> Result<[Vec3; 2]> {
     let light = mean_light(own_lobes(world).iter());
-    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
-    Ok([light, mean_albedo(&albedo, &read_column::<TexelIndex, TexelSeen>(world)?, |_| 1.0)])
+    with_columns::<TexelIndex, (&Diffuse, &TexelSeen), _>(world, |(texels, seen)| {
+        Ok([light, mean_albedo(&texels, &seen, |_| 1.0)])
+    })
 }
 
-/// Multiplies the light by a factor and divides the albedo by it.
-fn rescale<'a>(factor: Vec3, lobes: impl Iterator<Item = &'a mut LightLobe>, albedo: &mut [DiffuseAlbedo]) {
-    lobes.for_each(|lobe| lobe.amplitude *= factor);
-    let divisor = factor.recip();
-    parallel::for_each_row(albedo, CHUNK, |albedo| {
-        albedo.0 = (albedo.0 * divisor).min(Vec3::splat(MOST_ALBEDO));
-    });
+/// An albedo under a light that is multiplied by the factor.
+fn divided(albedo: Vec3, factor: Vec3) -> Vec3 {
+    (albedo * factor.recip()).min(Vec3::splat(MOST_ALBEDO))
 }
 
 /// A base material with its specular albedo divided by the factor as far as it is metal.
@@ -304,15 +302,15 @@ fn mean_light<'a>(lobes: impl Iterator<Item = &'a LightLobe>) -> Vec3 {
 
 /// Mean albedo of the texels that are seen, with the weight `weight(i)` of texel i: that which is
 /// not metal.
-fn mean_albedo(albedo: &[DiffuseAlbedo], seen: &[TexelSeen], weight: impl Fn(usize) -> f32 + Sync) -> Vec3 {
-    let of_chunk = |(chunk, (albedo, seen)): (usize, (&[DiffuseAlbedo], &[TexelSeen]))| {
-        let texels = (chunk * CHUNK..).zip(albedo).zip(seen).filter(|(_, seen)| seen.0 > 0.0);
-        texels.fold((DVec3::ZERO, 0.0), |(sum, weights), ((i, albedo), _)| {
+fn mean_albedo(texels: &[Diffuse], seen: &[TexelSeen], weight: impl Fn(usize) -> f32 + Sync) -> Vec3 {
+    let of_chunk = |(chunk, (texels, seen)): (usize, (&[Diffuse], &[TexelSeen]))| {
+        let texels = (chunk * CHUNK..).zip(texels).zip(seen).filter(|(_, seen)| seen.0 > 0.0);
+        texels.fold((DVec3::ZERO, 0.0), |(sum, weights), ((i, texel), _)| {
             let weight = f64::from(weight(i));
-            (sum + albedo.0.as_dvec3() * weight, weights + weight)
+            (sum + texel.albedo.as_dvec3() * weight, weights + weight)
         })
     };
-    let chunks = albedo.chunks(CHUNK).zip(seen.chunks(CHUNK)).enumerate();
+    let chunks = texels.chunks(CHUNK).zip(seen.chunks(CHUNK)).enumerate();
     let sums: Vec<(DVec3, f64)> = parallel::map_items(chunks, of_chunk);
     let (sum, weights) =
         sums.into_iter().fold((DVec3::ZERO, 0.0), |all, of_chunk| (all.0 + of_chunk.0, all.1 + of_chunk.1));
@@ -438,18 +436,18 @@ mod tests {
     #[test]
     fn rescaling_keeps_light_times_albedo() {
         let lobe = LightLobe { axis: Vec3::Y, sharpness: 3.0, amplitude: Vec3::new(1.0, 2.0, 4.0) };
-        let (mut lobes, mut albedo) = ([lobe], [DiffuseAlbedo(Vec3::new(0.1, 0.2, 0.4))]);
-        let to_white = (-log_color(mean_light(lobes.iter()))).exp();
-        rescale(to_white, lobes.iter_mut(), &mut albedo);
-        assert!(log_color(mean_light(lobes.iter())).length() < 1e-6);
-        let product = lobes[0].amplitude * albedo[0].0;
-        assert!((product - lobe.amplitude * Vec3::new(0.1, 0.2, 0.4)).length() < 1e-6);
+        let albedo = Vec3::new(0.1, 0.2, 0.4);
+        let to_white = (-log_color(mean_light([lobe].iter()))).exp();
+        let white = LightLobe { amplitude: lobe.amplitude * to_white, ..lobe };
+        assert!(log_color(mean_light([white].iter())).length() < 1e-6);
+        let product = white.amplitude * divided(albedo, to_white);
+        assert!((product - lobe.amplitude * albedo).length() < 1e-6);
         let log_factor = Vec3::new(0.1, 0.0, -0.2);
         let metal = SpecularLobe::new(Vec3::new(0.8, 0.6, 0.3), 0.2);
         let product = rescaled_metal(log_factor, metal).albedo * log_factor.exp();
         assert!((product - metal.albedo).length() < 1e-6);
         let varnish = SpecularLobe::new(Vec3::splat(0.04), 0.2);
         assert_eq!(rescaled_metal(log_factor, varnish), varnish);
-        assert_eq!(mean_albedo(&albedo, &[TexelSeen(1.0)], |_| 0.5), albedo[0].0);
+        assert_eq!(mean_albedo(&[Diffuse::of_albedo(albedo)], &[TexelSeen(1.0)], |_| 0.5), albedo);
     }
 }

@@ -1,8 +1,8 @@
 //! Sheen as an unknown: each texel's albedo along the surface, beside that straight on.
 //!
-//! The albedo toward a viewer blends both by c = n·v ([`lobelia_world::material::sheen`]), so that
-//! the adjoint of a sample's albedo is shared between them by c and 1 − c. A texel that is seen
-//! from few angles keeps its sheen near zero.
+//! The albedo toward a viewer blends both by c = n·v ([`lobelia_world::material::diffuse`]), so
+//! that the adjoint of a sample's albedo is shared between them by c and 1 − c. A texel that is
+//! seen from few angles keeps its sheen near zero.
 //!
 //! Whether the surface has a sheen is decided by the photographs: a richer material is let in only
 //! if it predicts views that it was not fitted to. A fit without sheen leaves residuals r at
@@ -18,10 +18,9 @@ use glam::Vec3;
 use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Camera, Photograph, Split, ViewIndex};
 use lobelia_sg::shading::{Layers, PointAdjoint, ShadePoint};
-use lobelia_world::material::sheen::{KnownAlong, grazing, has_sheen};
-use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, TexelIndex, Texels};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::read_column;
+use lobelia_world::material::diffuse::{KnownAlong, grazing, has_sheen};
+use lobelia_world::material::{Diffuse, TexelIndex, Texels};
+use lobelia_world::pipeline::{SystemResult, pool::with_columns};
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{Observed, PixelOf};
 use lobelia_world::sample::point::SurfacePoint;
@@ -76,14 +75,10 @@ pub fn scatter_to_sheen(
 pub fn follow_known(
     unknowns: Res<Unknowns>,
     known: Option<Res<KnownAlong>>,
-    texels: Texels<(&DiffuseAlbedo, &mut DiffuseSheen)>,
+    texels: Texels<&mut Diffuse>,
 ) -> SystemResult {
     let Some(known) = known.filter(|_| unknowns.albedo) else { return Ok(()) };
-    let (albedo, mut sheen) = texels.columns()?;
-    let albedo: Vec<Vec3> = albedo.iter().map(|albedo| albedo.0).collect();
-    if let Some(found) = known.sheen(&albedo) {
-        sheen.copy_from_slice(&found);
-    }
+    known.set_sheen(&mut texels.columns()?);
     Ok(())
 }
 
@@ -94,27 +89,25 @@ pub fn move_sheen(rates: Res<StepRates>, unknowns: Res<Unknowns>, texels: Texels
     if !unknowns.sheen {
         return Ok(());
     }
-    let ((mut albedo, mut sheen), (albedo_gradient, gradient), (albedo_moments, moments)) =
-        texels.columns()?;
+    let (mut texels, (albedo_gradient, gradient), (albedo_moments, moments)) = texels.columns()?;
     let (mut albedo_gradient, mut gradient) = (albedo_gradient.quiet(), gradient.quiet());
     let (mut albedo_moments, mut moments) = (albedo_moments.quiet(), moments.quiet());
     let adam = AdamStep::new(rates.albedo, rates.step);
-    let colors = (&mut *albedo, &mut *sheen);
     let gradients = (&mut *albedo_gradient, &mut *gradient);
-    let columns = ((colors, gradients), (&mut *albedo_moments, &mut *moments));
-    parallel::for_each_row(columns, 4096, |((colors, gradients), (albedo_moments, moments))| {
-        let ((albedo, sheen), (albedo_gradient, gradient)) = (colors, gradients);
-        let pulled = gradient.0 + sheen.0 * (2.0 / 3.0 * PRIOR * gradient.1);
-        let along = moved_color(&adam, albedo.0 + sheen.0, pulled, &mut moments.0);
-        albedo.0 = moved_color(&adam, albedo.0, albedo_gradient.0, &mut albedo_moments.0);
-        sheen.0 = along - albedo.0;
+    let columns = ((&mut *texels, gradients), (&mut *albedo_moments, &mut *moments));
+    parallel::for_each_row(columns, 4096, |((texel, gradients), (albedo_moments, moments))| {
+        let (albedo_gradient, gradient) = gradients;
+        let pulled = gradient.0 + texel.sheen * (2.0 / 3.0 * PRIOR * gradient.1);
+        let along = moved_color(&adam, texel.along(), pulled, &mut moments.0);
+        texel.albedo = moved_color(&adam, texel.albedo, albedo_gradient.0, &mut albedo_moments.0);
+        texel.sheen = along - texel.albedo;
         (albedo_gradient.0, *gradient) = (Vec3::ZERO, SheenGradient::default());
     });
     Ok(())
 }
 
 type Columns = (
-    (&'static mut DiffuseAlbedo, &'static mut DiffuseSheen),
+    &'static mut Diffuse,
     (&'static mut AlbedoGradient, &'static mut SheenGradient),
     (&'static mut AlbedoMoments, &'static mut SheenMoments),
 );
@@ -257,7 +250,7 @@ pub(crate) fn choose_sheen(world: &mut World, progress: f32) {
 /// Begins to look for evidence, unless a fit before this one has found a sheen: then this one goes
 /// on with it.
 pub(crate) fn look_for_sheen(world: &mut World) -> lobelia_geometry::error::Result<()> {
-    if has_sheen(&read_column::<TexelIndex, DiffuseSheen>(world)?) {
+    if with_columns::<TexelIndex, &Diffuse, _>(world, |texels| Ok(has_sheen(&texels)))? {
         world.resource_mut::<Unknowns>().sheen = true;
     } else {
         let mut query = world.query_filtered::<(&ViewIndex, &Camera, &Split), With<Photograph>>();

@@ -24,7 +24,7 @@ use lobelia_sg::shading::{
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::lights::IncidentLight;
 use lobelia_world::material::material_source::BaseMaterials;
-use lobelia_world::material::{BaseMaterial, DiffuseAlbedo, SpecularLobe, Texels};
+use lobelia_world::material::{BaseMaterial, Diffuse, SpecularLobe, Texels};
 use lobelia_world::pipeline::SystemResult;
 use lobelia_world::sample::pixel::{Observed, PixelOf};
 use lobelia_world::sample::point::{PointBlend, SurfacePoint};
@@ -124,17 +124,17 @@ pub fn scatter_to_texels(
 pub fn move_texels(
     rates: Res<StepRates>,
     unknowns: Res<Unknowns>,
-    texels: Texels<(&mut DiffuseAlbedo, &mut AlbedoGradient, &mut AlbedoMoments)>,
+    texels: Texels<(&mut Diffuse, &mut AlbedoGradient, &mut AlbedoMoments)>,
 ) -> SystemResult {
     if !unknowns.albedo || unknowns.sheen {
         return Ok(());
     }
-    let (mut albedo, gradient, moments) = texels.columns()?;
+    let (mut texels, gradient, moments) = texels.columns()?;
     let (mut gradient, mut moments) = (gradient.quiet(), moments.quiet());
     let adam = AdamStep::new(rates.albedo, rates.step);
-    let columns = ((&mut *albedo, &mut *gradient), &mut *moments);
-    parallel::for_each_row(columns, 4096, |((albedo, gradient), moments)| {
-        albedo.0 = moved_color(&adam, albedo.0, gradient.0, &mut moments.0);
+    let columns = ((&mut *texels, &mut *gradient), &mut *moments);
+    parallel::for_each_row(columns, 4096, |((texel, gradient), moments)| {
+        texel.albedo = moved_color(&adam, texel.albedo, gradient.0, &mut moments.0);
         gradient.0 = Vec3::ZERO;
     });
     Ok(())

@@ -13,19 +13,12 @@ use lobelia_geometry::parallel;
 use lobelia_sg::shading::{
     ClosedForm, Layers, Lighting, LobeVisibility, PointVisibility, ShadeCall, ShadePoint, SpecularValue,
 };
-use lobelia_world::material::material_source::{
-    BaseMaterials, ColumnOf, Holds, MaterialSource, MaterialTexels, ShownMaterial,
-};
-use lobelia_world::material::{
-    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, Texels,
-};
+use lobelia_world::material::material_source::{BaseMaterials, ColumnOf, Holds, MaterialSource};
+use lobelia_world::material::{Diffuse, MAX_SPECULAR_LOBES, Shown, SpecularBlend, SpecularLobe, Texels};
 use lobelia_world::sample::pixel::{PixelOf, SampleIndex, ViewRay};
 use lobelia_world::sample::point::{PointBlend, Scenery, SurfacePoint};
 use lobelia_world::sample::{LightRotations, Samples};
-use lobelia_world::{
-    light::lights::IncidentLight, material::tilt::DirectionalAlbedo, pipeline::SystemResult,
-    pipeline::pool::Columns,
-};
+use lobelia_world::{light::lights::IncidentLight, pipeline::SystemResult, pipeline::pool::Columns};
 
 /// Settings of path tracing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,18 +43,14 @@ pub fn kernel_materials(materials: &BaseMaterials) -> Vec<(usize, SpecularValue)
     materials.by_number().map(|(number, lobe)| (number, kernel_specular(lobe))).collect()
 }
 
-/// The columns that make up the diffuse material of a texel.
-type DiffuseColumns<'w, M> =
-    (&'w ColumnOf<M, DiffuseAlbedo>, &'w ColumnOf<M, DiffuseSheen>, &'w ColumnOf<M, DiffuseTilt>);
-
 /// Gather: interpolates the texels of a material at each surface point into the inputs of shading,
 /// in the light's frame.
 pub fn gather_points<M: MaterialSource>(
-    texels: Texels<DiffuseColumns<'static, M>>,
+    texels: Texels<&ColumnOf<M, Diffuse>>,
     turns: LightRotations,
     samples: Samples<(&SurfacePoint, &ViewRay, &PixelOf, &mut ShadePoint)>,
 ) -> SystemResult {
-    let (albedo, sheen, tilt) = texels.columns()?;
+    let texels = texels.columns()?;
     let turns = turns.by_view();
     let (points, rays, pixels, mut gathered) = samples.columns()?;
     let columns = ((&mut *gathered, &*points), (&*rays, &*pixels));
@@ -71,11 +60,7 @@ pub fn gather_points<M: MaterialSource>(
             return;
         }
         let to_viewer = -ray.0.direction;
-        let mixed = DirectionalAlbedo::mixed(&point.texels, |texel| DirectionalAlbedo {
-            albedo: albedo[texel].value().0,
-            sheen: sheen[texel].value().0,
-            tilt: tilt[texel].value().0,
-        });
+        let mixed = Diffuse::mixed(&point.texels, |texel| texels[texel].value());
         let albedo = mixed.toward(point.normal, to_viewer).into();
         *out = ShadePoint { normal: point.normal.into(), to_viewer: to_viewer.into(), albedo };
         if let Some(turn) = turns.get(pixel.view) {
@@ -241,22 +226,20 @@ pub fn shade_path_traced(paths: PathTracing) -> ScheduleConfigs<ScheduleSystem> 
     let system = move |scenery: Res<Scenery>,
                        light: Res<IncidentLight>,
                        materials: Res<BaseMaterials>,
-                       texels: MaterialTexels<ShownMaterial>,
+                       texels: Texels<(&Shown<Diffuse>, &Shown<SpecularBlend>)>,
                        samples: Samples<PathColumns>|
           -> SystemResult {
         let Some(distant) = &light.distant else {
             return Err(Error::run("path tracing", "there is no light").into());
         };
-        let (albedo, sheen, tilt, blends) = texels.columns()?;
+        let (diffuse, blends) = texels.columns()?;
         let mut specular = [None; MAX_SPECULAR_LOBES];
         materials.by_number().for_each(|(number, lobe)| specular[number] = Some(*lobe));
         let count = materials.lobes.last().map_or(0, |(number, _)| number + 1);
         let scene = PathScene {
             surface: scenery.0.as_ref(),
             light: distant.as_ref(),
-            albedo: &albedo,
-            sheen: &sheen,
-            tilt: &tilt,
+            diffuse: &diffuse,
             blends: if materials.blended { &blends } else { &[] },
             specular: &specular[..count],
         };

@@ -15,7 +15,7 @@ use lobelia_geometry::parallel;
 use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex};
 use lobelia_sg::shading::{Layers, PointAdjoint};
-use lobelia_world::material::{DiffuseAlbedo, Texels};
+use lobelia_world::material::{Diffuse, Texels};
 use lobelia_world::pipeline::SystemResult;
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay};
@@ -73,7 +73,7 @@ pub fn pull_back_to_field(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
     samples: Samples<(&SurfacePoint, &ViewRay, &PointAdjoint)>,
-    texels: Texels<&DiffuseAlbedo>,
+    texels: Texels<&Diffuse>,
     mut field: ResMut<SdfField>,
 ) -> SystemResult {
     if schedule.progress(rates.step).is_none() {
@@ -87,7 +87,7 @@ pub fn pull_back_to_field(
         let (point, ray, back) = (&points[i], &rays[i], &back[i]);
         let by_normal = Vec3::from(back.normal).clamp_length_max(limit);
         let along = Vec3::from(back.albedo);
-        let value = |row: u32| texels[row as usize].0.dot(along);
+        let value = |row: u32| texels[row as usize].albedo.dot(along);
         let by_position = surface.volume.gradient(point.position, &point.texels, value);
         SampleAdjoint::new(&surface.grid, point.position, ray.0.direction, by_normal, by_position)
     };

@@ -48,14 +48,13 @@ use lobelia_sg::shading::PointVisibility;
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::lights::IncidentLight;
 use lobelia_world::material::material_source::{
-    BaseMaterials, ColumnOf, Holds, MaterialSource, MaterialTexels, RecoveredMaterial, ShownMaterial,
+    BaseMaterials, ColumnOf, Holds, MaterialSource, RecoveredMaterial, ShownMaterial, TexelColumns,
 };
-use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe};
+use lobelia_world::material::{Diffuse, SpecularBlend, SpecularLobe, Texels};
 use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
-use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{PixelOf, ViewRay};
 use lobelia_world::sample::point::{PointBlend, Scenery, SurfacePoint};
-use lobelia_world::{material::sheen::mean_albedo, sample::LightRotations};
+use lobelia_world::sample::{LightRotations, Samples};
 use object_visibility::Made;
 use std::any::TypeId;
 
@@ -108,8 +107,7 @@ pub fn refresh_is_due(
 type Inputs<M> = Or<(
     Changed<LightLobe>,
     Changed<ColumnOf<M, SpecularLobe>>,
-    Changed<ColumnOf<M, DiffuseAlbedo>>,
-    Changed<ColumnOf<M, DiffuseSheen>>,
+    Changed<ColumnOf<M, Diffuse>>,
     Changed<ColumnOf<M, SpecularBlend>>,
 )>;
 
@@ -134,16 +132,16 @@ fn inputs<M: MaterialSource>(light: &IncidentLight, materials: &BaseMaterials) -
 pub fn refresh_visibility<M: MaterialSource>(
     light: Res<IncidentLight>,
     materials: Res<BaseMaterials>,
-    texels: MaterialTexels<M>,
+    texels: Texels<TexelColumns<M>>,
     turns: LightRotations,
     mut object: ResMut<ObjectVisibility>,
 ) -> SystemResult {
-    let (albedo, sheen, _, blends) = texels.columns()?;
+    let (diffuse, blends) = texels.columns()?;
     // Specular light of a second reflection is treated as diffuse, but where rays find it.
     let reflectance = |texel: u32| {
         let blend = blends[texel as usize].value();
         Reflectance {
-            diffuse: mean_albedo(albedo[texel as usize].value().0, sheen[texel as usize].value().0),
+            diffuse: diffuse[texel as usize].value().mean_albedo(),
             specular: materials.by_number().map(|(k, lobe)| lobe.albedo * blend.0[k]).sum(),
             roughness: blend.roughness(materials.by_number()),
         }

@@ -13,13 +13,12 @@
 //! use glam::Vec3;
 //! use lobelia_world::material::edit::{EditAction, EditRegion, EditTarget};
 //! use lobelia_world::material::edit::{MaterialState, apply_edit};
-//! use lobelia_world::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+//! use lobelia_world::material::{Diffuse, SpecularBlend, SpecularLobe};
 //!
 //! let mut state = MaterialState {
-//!     albedo: vec![DiffuseAlbedo(Vec3::splat(0.5)); 2],
+//!     diffuse: vec![Diffuse::of_albedo(Vec3::splat(0.5)); 2],
 //!     blends: vec![SpecularBlend::default(); 2],
 //!     lobes: vec![Some(SpecularLobe::new(Vec3::splat(0.04), 0.4))],
-//!     ..MaterialState::default()
 //! };
 //! let (half, there) = (EditAction::Scale(Vec3::splat(0.5)), EditRegion(Some([0.0, 1.0].into())));
 //! apply_edit(&mut state, EditTarget::Roughness, &half, &there)?;
@@ -29,9 +28,7 @@
 //! ```
 
 use super::material_source::check_numbers;
-use super::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe,
-};
+use super::{BaseMaterial, Diffuse, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
 use lobelia_geometry::{Error, Result};
@@ -106,12 +103,8 @@ pub struct EditRegion(pub Option<Arc<[f32]>>);
 /// The columns that an edit changes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MaterialState {
-    /// Diffuse albedo per texel.
-    pub albedo: Vec<DiffuseAlbedo>,
-    /// Sheen per texel.
-    pub sheen: Vec<DiffuseSheen>,
-    /// Tilt per texel.
-    pub tilt: Vec<DiffuseTilt>,
+    /// Diffuse material per texel.
+    pub diffuse: Vec<Diffuse>,
     /// Blend weights per texel.
     pub blends: Vec<SpecularBlend>,
     /// The specular lobe of each base material, by number; unused numbers are `None`.
@@ -159,21 +152,20 @@ pub fn apply_edit(
     let region = region.0.as_deref();
     let values = if let EditAction::PerTexel(values) = action { Some(values.len()) } else { None };
     for count in [values, region.map(<[f32]>::len)].into_iter().flatten() {
-        if count != state.albedo.len() {
-            let problem = format!("it has {count} texels, and the object has {}", state.albedo.len());
+        if count != state.diffuse.len() {
+            let problem = format!("it has {count} texels, and the object has {}", state.diffuse.len());
             return Err(Error::run("an edit", problem));
         }
     }
     match target {
         EditTarget::Diffuse => {
-            let colors = state.albedo.iter_mut().zip(&mut state.sheen).zip(&mut state.tilt);
-            for (i, ((albedo, sheen), tilt)) in colors.enumerate() {
+            for (i, texel) in state.diffuse.iter_mut().enumerate() {
                 let weight = region.map_or(1.0, |r| r[i]);
-                tilt.0 *= 1.0 - weight * (1.0 - action.left());
+                texel.tilt *= 1.0 - weight * (1.0 - action.left());
                 // What is seen along the surface is edited like what is seen straight on.
-                let along = albedo.0 + sheen.0;
-                albedo.0 = albedo.0.lerp(action.color(albedo.0, i), weight);
-                sheen.0 = along.lerp(action.color(along, i), weight) - albedo.0;
+                let along = texel.along();
+                texel.albedo = texel.albedo.lerp(action.color(texel.albedo, i), weight);
+                texel.sheen = along.lerp(action.color(along, i), weight) - texel.albedo;
             }
             Ok(())
         }
@@ -235,10 +227,9 @@ mod tests {
     use lobelia_sg::brdf::Ndf;
 
     fn state() -> MaterialState {
+        let (sheen, tilt) = (Vec3::splat(0.25), Vec3::new(0.5, 0.0, -0.25));
         MaterialState {
-            albedo: vec![DiffuseAlbedo(Vec3::splat(0.5)); 3],
-            sheen: vec![DiffuseSheen(Vec3::splat(0.25)); 3],
-            tilt: vec![DiffuseTilt(Vec3::new(0.5, 0.0, -0.25)); 3],
+            diffuse: vec![Diffuse { albedo: Vec3::splat(0.5), sheen, tilt }; 3],
             blends: vec![SpecularBlend::default(); 3],
             lobes: vec![Some(SpecularLobe::new(Vec3::splat(0.3), 0.4))],
         }
@@ -323,8 +314,8 @@ mod tests {
         ];
         for (action, weights, expected) in edits {
             apply_edit(&mut state, EditTarget::Diffuse, &action, &region(&weights))?;
-            for (albedo, expected) in state.albedo.iter().zip(expected) {
-                assert!((albedo.0.x - expected).abs() < 1e-6, "{albedo:?} {expected}");
+            for (texel, expected) in state.diffuse.iter().zip(expected) {
+                assert!((texel.albedo.x - expected).abs() < 1e-6, "{texel:?} {expected}");
             }
         }
         Ok(())

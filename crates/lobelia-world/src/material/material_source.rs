@@ -1,9 +1,6 @@
 //! The material that a system reads: the recovered one of a fit, or the shown one of a frame.
 
-use super::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, Shown, SpecularBlend,
-    SpecularLobe, TexelIndex, Texels,
-};
+use super::{BaseMaterial, Diffuse, MAX_SPECULAR_LOBES, Shown, SpecularBlend, SpecularLobe, TexelIndex};
 use crate::pipeline::SystemResult;
 use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::{Changed, Component, Entity, Local, Query, Res, ResMut, Resource, With};
@@ -50,6 +47,12 @@ impl MaterialSource for ShownMaterial {
     type Column<T: Component<Mutability = Mutable> + Copy> = Shown<T>;
 }
 
+/// A value of all texels or base materials, as a column.
+pub type ColumnOf<M, T> = <M as MaterialSource>::Column<T>;
+
+/// The columns of the texels of one material.
+pub type TexelColumns<M> = (&'static ColumnOf<M, Diffuse>, &'static ColumnOf<M, SpecularBlend>);
+
 /// The base materials of this run, by ascending number.
 #[derive(Resource, Clone, Debug, Default, PartialEq)]
 pub struct BaseMaterials {
@@ -74,9 +77,9 @@ impl BaseMaterials {
 pub struct PlainBlends<M: MaterialSource>(bool, PhantomData<M>);
 
 /// Texels whose blend weights have changed.
-type ChangedBlends<M> = (Changed<<M as MaterialSource>::Column<SpecularBlend>>, With<TexelIndex>);
+type ChangedBlends<M> = (Changed<ColumnOf<M, SpecularBlend>>, With<TexelIndex>);
 /// Texels with blend weights.
-type BlendedTexels<M> = (With<<M as MaterialSource>::Column<SpecularBlend>>, With<TexelIndex>);
+type BlendedTexels<M> = (With<ColumnOf<M, SpecularBlend>>, With<TexelIndex>);
 
 /// Run condition: whether the blend weights of a texel have changed, or texels have been added or
 /// removed.
@@ -91,7 +94,7 @@ pub fn blends_changed<M: MaterialSource>(
 
 /// Gather: records whether any texel blends base materials; runs if `blends_changed`.
 pub fn note_plain_blends<M: MaterialSource>(
-    texels: Query<&M::Column<SpecularBlend>, With<TexelIndex>>,
+    texels: Query<&ColumnOf<M, SpecularBlend>, With<TexelIndex>>,
     mut noted: ResMut<PlainBlends<M>>,
 ) {
     noted.0 = texels.iter().all(|blend| blend.value() == SpecularBlend::default());
@@ -99,7 +102,7 @@ pub fn note_plain_blends<M: MaterialSource>(
 
 /// Gather: the base materials by number.
 pub fn gather_materials<M: MaterialSource>(
-    materials: Query<(Entity, &BaseMaterial, &M::Column<SpecularLobe>)>,
+    materials: Query<(Entity, &BaseMaterial, &ColumnOf<M, SpecularLobe>)>,
     plain: Res<PlainBlends<M>>,
     mut gathered: ResMut<BaseMaterials>,
 ) -> SystemResult {
@@ -127,17 +130,3 @@ pub(super) fn check_numbers(rising: impl Iterator<Item = usize>) -> Result<()> {
     }
     Ok(())
 }
-
-/// A value of all texels or base materials, as a column.
-pub type ColumnOf<M, T> = <M as MaterialSource>::Column<T>;
-
-/// The columns of the texels of one material: albedo, sheen, tilt and blend.
-pub type TexelColumns<M> = (
-    &'static ColumnOf<M, DiffuseAlbedo>,
-    &'static ColumnOf<M, DiffuseSheen>,
-    &'static ColumnOf<M, DiffuseTilt>,
-    &'static ColumnOf<M, SpecularBlend>,
-);
-
-/// The texels of one material, as a system parameter.
-pub type MaterialTexels<'w, 's, M> = Texels<'w, 's, TexelColumns<M>>;

@@ -11,18 +11,18 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`shown`] | the shown material and its systems: as recovered, or edited |
-//! | [`sheen`] | albedo that depends on the angle of view |
-//! | [`tilt`] | albedo that depends on the side of view |
+//! | [`diffuse`] | diffuse albedo that depends on the angle and the side of view |
 //! | [`edit`] | edits as components, and the kernel that applies them |
 //! | [`material_source`] | traits for systems that read the recovered or the shown material |
 
+pub mod diffuse;
 pub mod edit;
 pub mod material_source;
-pub mod sheen;
 pub mod shown;
-pub mod tilt;
 
-use crate::pipeline::pool::{Pool, pool_index, read_column, write_column};
+pub use diffuse::Diffuse;
+
+use crate::pipeline::pool::{Pool, pool_index, with_columns, write_column};
 use bevy_ecs::prelude::{Component, Entity, With, World};
 use glam::Vec3;
 use lobelia_geometry::Result;
@@ -85,23 +85,6 @@ impl Default for SpecularLobe {
     }
 }
 
-/// Diffuse albedo of a material texel, linear RGB in `[0, 1]`.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[require(SpecularBlend, DiffuseSheen, DiffuseTilt, Shown<DiffuseAlbedo>)]
-pub struct DiffuseAlbedo(pub Vec3);
-
-/// Difference s between a texel's diffuse albedo along the surface and straight on, linear RGB in
-/// [−1, 1]; the sum with [`DiffuseAlbedo`] is in [0, 1]. See [`sheen`].
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[require(Shown<DiffuseSheen>)]
-pub struct DiffuseSheen(pub Vec3);
-
-/// How much brighter a texel's diffuse albedo is toward one side: a vector in the object's axes, at
-/// most 0.9 long. See [`tilt`].
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[require(Shown<DiffuseTilt>)]
-pub struct DiffuseTilt(pub Vec3);
-
 /// Most specular lobes an object may have.
 pub const MAX_SPECULAR_LOBES: usize = 8;
 
@@ -140,18 +123,10 @@ impl Default for SpecularBlend {
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shown<T: Send + Sync + 'static>(pub T);
 
-/// Spawns the texels of an atlas, in order; all lists have one entry per texel.
-pub fn spawn_texels(
-    world: &mut World,
-    albedo: &[Vec3],
-    sheen: &[DiffuseSheen],
-    tilt: &[DiffuseTilt],
-    blends: &[SpecularBlend],
-) {
-    let columns = (0..).map(TexelIndex).zip(albedo).zip(sheen).zip(tilt).zip(blends);
-    let texels = columns.map(|((((index, albedo), sheen), tilt), blend)| {
-        (index, DiffuseAlbedo(*albedo), *sheen, *tilt, *blend)
-    });
+/// Spawns the texels of an atlas, in order; both lists have one entry per texel.
+pub fn spawn_texels(world: &mut World, diffuse: &[Diffuse], blends: &[SpecularBlend]) {
+    let texels = (0..).map(TexelIndex).zip(diffuse).zip(blends);
+    let texels = texels.map(|((index, diffuse), blend)| (index, *diffuse, *blend));
     world.spawn_batch(texels.collect::<Vec<_>>());
 }
 
@@ -180,7 +155,9 @@ pub fn replace_materials(world: &mut World, lobes: &[SpecularLobe], blend: Specu
 /// # Errors
 /// If the pool of texels is incomplete.
 pub fn recovered_albedo(world: &mut World) -> Result<Vec<Vec3>> {
-    Ok(read_column::<TexelIndex, DiffuseAlbedo>(world)?.into_iter().map(|albedo| albedo.0).collect())
+    with_columns::<TexelIndex, &Diffuse, _>(world, |texels| {
+        Ok(texels.iter().map(|texel| texel.albedo).collect())
+    })
 }
 
 /// The recovered base materials by number, without unused numbers.

@@ -8,24 +8,15 @@ use super::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget, Mater
 use super::material_source::{
     ColumnOf, Holds, MaterialSource, RecoveredMaterial, ShownMaterial, TexelColumns,
 };
-use super::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, Shown, SpecularBlend, SpecularLobe, TexelIndex,
-    Texels, spawn_texels,
-};
-use crate::{pipeline::SystemResult, pipeline::pool::read_column};
+use super::{BaseMaterial, Diffuse, Shown, SpecularBlend, SpecularLobe, TexelIndex, Texels, spawn_texels};
+use crate::{pipeline::SystemResult, pipeline::pool::with_columns};
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::{ScheduleSystem, SystemParam};
 use bevy_ecs::{change_detection::DetectChangesMut, component::Mutable, schedule::ScheduleConfigs};
-use glam::Vec3;
 use lobelia_geometry::Result;
 
 /// Shown components of a texel's material.
-type ShownTexel = (
-    &'static mut Shown<DiffuseAlbedo>,
-    &'static mut Shown<DiffuseSheen>,
-    &'static mut Shown<DiffuseTilt>,
-    &'static mut Shown<SpecularBlend>,
-);
+type ShownTexel = (&'static mut Shown<Diffuse>, &'static mut Shown<SpecularBlend>);
 
 /// The system parameter that reads the recovered material and writes the shown one, all of it: see
 /// [`Composition::compose`].
@@ -46,17 +37,14 @@ impl Composition<'_, '_> {
     /// # Errors
     /// If the pool of texels is incomplete, base materials share a number, or `edit` fails.
     pub fn compose(mut self, edit: impl FnOnce(&mut MaterialState) -> Result<()>) -> SystemResult {
-        let ((albedo, sheen, tilt, blends), (mut albedos, mut sheens, mut tilts, mut shown_blends)) =
-            self.texels.columns()?;
-        let (albedo, sheen, tilt) = (albedo.to_vec(), sheen.to_vec(), tilt.to_vec());
-        let mut state = MaterialState { albedo, sheen, tilt, blends: blends.to_vec(), lobes: Vec::new() };
+        let ((diffuse, blends), (mut shown_diffuse, mut shown_blends)) = self.texels.columns()?;
+        let (diffuse, blends) = (diffuse.into_owned(), blends.into_owned());
+        let mut state = MaterialState { diffuse, blends, lobes: Vec::new() };
         for (number, lobe, _) in &self.recovered {
             state.set_lobe(*number, *lobe)?;
         }
         edit(&mut state)?;
-        show(&mut albedos, &state.albedo);
-        show(&mut sheens, &state.sheen);
-        show(&mut tilts, &state.tilt);
+        show(&mut shown_diffuse, &state.diffuse);
         show(&mut shown_blends, &state.blends);
         for (number, _, mut shown) in &mut self.recovered {
             if let Some(lobe) = state.lobes.get_mut(number.0 as usize).and_then(Option::take) {
@@ -78,13 +66,7 @@ fn show<T: Copy + Send + Sync>(shown: &mut [Shown<T>], values: &[T]) {
 }
 
 /// Changes of the recovered material after which the shown one is stale.
-type RecoveredChanged = Or<(
-    Changed<DiffuseAlbedo>,
-    Changed<DiffuseSheen>,
-    Changed<DiffuseTilt>,
-    Changed<SpecularBlend>,
-    Changed<SpecularLobe>,
-)>;
+type RecoveredChanged = Or<(Changed<Diffuse>, Changed<SpecularBlend>, Changed<SpecularLobe>)>;
 
 /// Run condition: whether the recovered material has changed, or base materials have been added or
 /// removed.
@@ -165,23 +147,19 @@ pub fn shown_material(world: &mut World) -> Result<MaterialState> {
 }
 
 fn material_state<M: MaterialSource>(world: &mut World) -> Result<MaterialState> {
-    let (albedo, sheen, tilt) = (values::<M, _>(world)?, values::<M, _>(world)?, values::<M, _>(world)?);
-    let blends = values::<M, _>(world)?;
-    let mut state = MaterialState { albedo, sheen, tilt, blends, lobes: Vec::new() };
+    let mut state = with_columns::<TexelIndex, TexelColumns<M>, _>(world, |(diffuse, blends)| {
+        let diffuse = diffuse.iter().map(Holds::value).collect();
+        Ok(MaterialState { diffuse, blends: blends.iter().map(Holds::value).collect(), lobes: Vec::new() })
+    })?;
     for (number, lobe) in world.query::<(&BaseMaterial, &ColumnOf<M, SpecularLobe>)>().iter(world) {
         state.set_lobe(*number, lobe.value())?;
     }
     Ok(state)
 }
 
-fn values<M: MaterialSource, T: Component<Mutability = Mutable> + Copy>(world: &mut World) -> Result<Vec<T>> {
-    Ok(read_column::<TexelIndex, ColumnOf<M, T>>(world)?.iter().map(Holds::value).collect())
-}
-
 /// Spawns texels and base materials with this state as the recovered material.
 pub fn spawn_material(world: &mut World, state: &MaterialState) {
-    let albedo: Vec<Vec3> = state.albedo.iter().map(|albedo| albedo.0).collect();
-    spawn_texels(world, &albedo, &state.sheen, &state.tilt, &state.blends);
+    spawn_texels(world, &state.diffuse, &state.blends);
     for (number, lobe) in state.materials() {
         world.spawn((BaseMaterial(number as u32), *lobe));
     }
@@ -194,9 +172,7 @@ pub fn mark_material_changed(world: &mut World) {
         world.query::<&mut T>().iter_mut(world).for_each(|mut component| component.set_changed());
         world.query::<&mut Shown<T>>().iter_mut(world).for_each(|mut component| component.set_changed());
     }
-    mark::<DiffuseAlbedo>(world);
-    mark::<DiffuseSheen>(world);
-    mark::<DiffuseTilt>(world);
+    mark::<Diffuse>(world);
     mark::<SpecularBlend>(world);
     mark::<SpecularLobe>(world);
 }

@@ -11,14 +11,14 @@
 //! ```
 //! use bevy_ecs::prelude::World;
 //! use glam::Vec3;
-//! use lobelia_world::material::{DiffuseAlbedo, TexelIndex};
+//! use lobelia_world::material::{Diffuse, TexelIndex};
 //! use lobelia_world::pipeline::pool::{read_column, write_column};
 //!
 //! let mut world = World::new();
-//! world.spawn_batch([2, 0, 1].map(|row| (TexelIndex(row), DiffuseAlbedo::default())));
-//! let gray = [0.2, 0.4, 0.6].map(|albedo| DiffuseAlbedo(Vec3::splat(albedo)));
+//! world.spawn_batch([2, 0, 1].map(|row| (TexelIndex(row), Diffuse::default())));
+//! let gray = [0.2, 0.4, 0.6].map(|albedo| Diffuse::of_albedo(Vec3::splat(albedo)));
 //! write_column::<TexelIndex, _>(&mut world, &gray)?;
-//! assert_eq!(read_column::<TexelIndex, DiffuseAlbedo>(&mut world)?, gray);
+//! assert_eq!(read_column::<TexelIndex, Diffuse>(&mut world)?, gray);
 //! # Ok::<(), lobelia_geometry::Error>(())
 //! ```
 
@@ -282,14 +282,25 @@ pub fn despawn_rows(world: &mut World, rows: &[Entity]) {
     }
 }
 
+/// The result of `work` on the columns `D` of a pool, all rows.
+///
+/// # Errors
+/// If rows are missing or duplicate, or `work` fails.
+pub fn with_columns<I: PoolIndex, D: Columns + 'static, R>(
+    world: &mut World,
+    work: impl FnOnce(D::Slices<'_>) -> Result<R>,
+) -> Result<R> {
+    let mut state = SystemState::<Pool<I, D>>::new(world);
+    let pool = state.get_mut(world).map_err(|error| failed::<I>(error.to_string()))?;
+    work(pool.columns()?)
+}
+
 /// A copy of one column of a pool, all rows; empty if the pool is.
 ///
 /// # Errors
 /// If rows are missing or duplicate.
 pub fn read_column<I: PoolIndex, T: Component + Copy>(world: &mut World) -> Result<Vec<T>> {
-    let mut state = SystemState::<Pool<I, &'static T>>::new(world);
-    let pool = state.get(world).map_err(|error| failed::<I>(error.to_string()))?;
-    pool.columns().map(|column| column.to_vec())
+    with_columns::<I, &T, _>(world, |column| Ok(column.into_owned()))
 }
 
 /// Writes one column of a pool, all rows.
@@ -300,12 +311,14 @@ pub fn write_column<I: PoolIndex, T>(world: &mut World, values: &[T]) -> Result<
 where
     T: Component<Mutability = Mutable> + Copy,
 {
-    let mut state = SystemState::<Pool<I, &'static mut T>>::new(world);
-    let pool = state.get_mut(world).map_err(|error| failed::<I>(error.to_string()))?;
-    let mut column = pool.columns()?;
-    if column.len() != values.len() {
-        return Err(failed::<I>(format!("{} values for {} rows", values.len(), column.len())));
-    }
-    column.copy_from_slice(values);
-    Ok(())
+    with_columns::<I, &mut T, _>(world, |mut column| {
+        check_rows::<I>(values.len(), column.len())?;
+        column.copy_from_slice(values);
+        Ok(())
+    })
+}
+
+/// Checks that there is a value for each row of a pool.
+pub(crate) fn check_rows<I: PoolIndex>(values: usize, rows: usize) -> Result<()> {
+    if values == rows { Ok(()) } else { Err(failed::<I>(format!("{values} values for {rows} rows"))) }
 }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::material::DiffuseAlbedo;
+use crate::material::Diffuse;
 use bevy_ecs::prelude::{Changed, Component, Entity, Query, ResMut, Resource};
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -187,12 +187,12 @@ fn a_plugin_is_removed_again_with_what_it_brought_and_replaces_one_of_its_type()
 fn a_stage_with_a_condition_is_left_out_and_what_a_failure_skips_is_done_after_it() -> Result<()> {
     let mut pipeline = pipeline();
     pipeline.configure_sets(Phase::Frame, Stage::Loss.run_if(|| false));
-    let is_new = |albedo: Query<(), Changed<DiffuseAlbedo>>| !albedo.is_empty();
+    let is_new = |albedo: Query<(), Changed<Diffuse>>| !albedo.is_empty();
     pipeline
         .add_systems(Phase::Frame, Stage::Loss, say("loss"))
         .add_systems(Phase::Frame, Stage::Resolve, say("new").run_if(is_new))
         .swap(Phase::Frame, Slot::Shading, fail);
-    pipeline.world.spawn(DiffuseAlbedo::default());
+    pipeline.world.spawn(Diffuse::default());
     assert!(pipeline.run(Phase::Frame).is_err());
     pipeline.swap(Phase::Frame, Slot::Shading, say("shade"));
     pipeline.run(Phase::Frame)?;

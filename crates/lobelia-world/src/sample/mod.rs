@@ -12,7 +12,7 @@
 pub mod pixel;
 pub mod point;
 
-use crate::material::{DiffuseAlbedo, SpecularLobe, TexelIndex, spawn_materials};
+use crate::material::{Diffuse, SpecularLobe, TexelIndex, spawn_materials};
 use crate::pipeline::pool::{Columns, Pool, despawn_rows, pool_index};
 use crate::{light::LightLobe, light::lights::IncidentLight, light::placement::PlacedFrame};
 use bevy_ecs::prelude::{Bundle, Component, Entity, Query, Res, Resource, With, World};
@@ -130,7 +130,7 @@ pub fn spawn_object(
     light: &[LightLobe],
 ) {
     world.insert_resource(Scenery(surface.clone()));
-    let texels = (0..).map(TexelIndex).zip(albedo.iter().copied().map(DiffuseAlbedo));
+    let texels = (0..).map(TexelIndex).zip(albedo.iter().copied().map(Diffuse::of_albedo));
     world.spawn_batch(texels.collect::<Vec<_>>());
     spawn_materials(world, materials);
     world.spawn_batch(light.to_vec());

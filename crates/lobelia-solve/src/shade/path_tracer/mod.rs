@@ -25,8 +25,7 @@
 //! // The top of a box sees a sky of radiance one, and nothing else.
 //! let surface = &Surface::new(box_mesh(Vec3::ZERO, Vec3::ONE)?, 16)?;
 //! let light = &MapLight::new(EnvironmentMap::from_directions(8, 4, |_| Vec3::ONE));
-//! let scene =
-//!     PathScene { surface, light, albedo: &[], sheen: &[], tilt: &[], blends: &[], specular: &[] };
+//! let scene = PathScene { surface, light, diffuse: &[], blends: &[], specular: &[] };
 //! let (position, normal, albedo) = (Vec3::new(0.1, 0.5, 0.2), Vec3::Y, Vec3::splat(0.5));
 //! let blend = SpecularBlend::default().0;
 //! let point = PathPoint { position, normal, geometric_normal: normal, albedo, blend };
@@ -42,10 +41,7 @@ use glam::{DVec3, Vec3};
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::parallel;
 use lobelia_sg::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
-use lobelia_world::material::tilt::DirectionalAlbedo;
-use lobelia_world::material::{
-    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, Shown, SpecularBlend, SpecularLobe,
-};
+use lobelia_world::material::{Diffuse, MAX_SPECULAR_LOBES, Shown, SpecularBlend, SpecularLobe};
 
 /// The scene that is rendered.
 #[derive(Clone, Copy)]
@@ -54,12 +50,8 @@ pub struct PathScene<'a> {
     pub surface: &'a dyn Intersect,
     /// The distant light.
     pub light: &'a dyn Illuminate,
-    /// Diffuse albedo of every texel of the surface, linear RGB in `[0, 1]`.
-    pub albedo: &'a [Shown<DiffuseAlbedo>],
-    /// Sheen of every texel; empty if there is none.
-    pub sheen: &'a [Shown<DiffuseSheen>],
-    /// Tilt of every texel; empty if there is none.
-    pub tilt: &'a [Shown<DiffuseTilt>],
+    /// Diffuse material of every texel of the surface.
+    pub diffuse: &'a [Shown<Diffuse>],
     /// Blend weights of the base materials at every texel; empty if all of the surface is material
     /// 0.
     pub blends: &'a [Shown<SpecularBlend>],
@@ -111,11 +103,7 @@ impl PathPoint {
                 std::array::from_fn(|k| (0..4).map(|i| blends[indices[i] as usize].0.0[k] * weights[i]).sum())
             }
         };
-        let mixed = DirectionalAlbedo::mixed(&hit.texels, |texel| DirectionalAlbedo {
-            albedo: scene.albedo[texel].0.0,
-            sheen: scene.sheen.get(texel).map_or(Vec3::ZERO, |sheen| sheen.0.0),
-            tilt: scene.tilt.get(texel).map_or(Vec3::ZERO, |tilt| tilt.0.0),
-        });
+        let mixed = Diffuse::mixed(&hit.texels, |texel| scene.diffuse[texel].0);
         Self {
             position: hit.position,
             normal: hit.normal,

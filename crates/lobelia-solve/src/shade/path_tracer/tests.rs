@@ -69,14 +69,14 @@ impl Intersect for Shell {
     }
 }
 
-/// A scene whose surface has one texel of this albedo, or none.
+/// A scene whose surface has one texel of this diffuse material, or none.
 fn scene<'a>(
     surface: &'a dyn Intersect,
     light: &'a dyn Illuminate,
-    albedo: &'a [Shown<DiffuseAlbedo>],
+    diffuse: &'a [Shown<Diffuse>],
     specular: &'a [Option<SpecularLobe>],
 ) -> PathScene<'a> {
-    PathScene { surface, light, albedo, sheen: &[], tilt: &[], blends: &[], specular }
+    PathScene { surface, light, diffuse, blends: &[], specular }
 }
 
 fn query(position: Vec3, normal: Vec3, to_viewer: Vec3, albedo: Vec3) -> PathQuery {
@@ -163,7 +163,7 @@ fn open_sky_matches_numerical_integration() {
 fn a_ball_overhead_casts_its_shadow() {
     let ball = Shell { center: Vec3::new(0.0, 0.0, 2.0), radius: 1.2, brim: 1.0, side: 1.0 };
     let light = Constant(Vec3::ONE);
-    let texels = [Shown(DiffuseAlbedo(Vec3::ZERO))];
+    let texels = [Shown(Diffuse::of_albedo(Vec3::ZERO))];
     let scene = scene(&ball, &light, &texels, &[]);
     let settings = PathSettings { max_bounces: 1, ..Default::default() };
     let query = query(Vec3::ZERO, Vec3::Z, Vec3::new(1.0, 0.0, 0.2), Vec3::splat(0.5));
@@ -176,7 +176,7 @@ fn a_ball_overhead_casts_its_shadow() {
 fn the_inside_of_a_closed_shell_is_black() {
     let shell = Shell { center: Vec3::ZERO, radius: 1.0, brim: 1.0, side: -1.0 };
     let light = Constant(Vec3::ONE);
-    let texels = [Shown(DiffuseAlbedo(Vec3::splat(0.5)))];
+    let texels = [Shown(Diffuse::of_albedo(Vec3::splat(0.5)))];
     let scene = scene(&shell, &light, &texels, &GRAY_SPECULAR);
     let query = query(-Vec3::Z, Vec3::Z, Vec3::new(1.0, 0.0, 1.0), Vec3::splat(0.5));
     let found = estimate(&scene, &PathSettings::default(), &query, 64);
@@ -189,7 +189,7 @@ fn a_convex_surface_does_not_shadow_itself() {
     for center in [Vec3::ZERO, Vec3::new(300.0, -20.0, 7.0)] {
         let ball = Shell { center, radius: 1.0, brim: 1.0, side: 1.0 };
         let light = Constant(Vec3::ONE);
-        let texels = [Shown(DiffuseAlbedo(Vec3::ONE))];
+        let texels = [Shown(Diffuse::of_albedo(Vec3::ONE))];
         let scene = scene(&ball, &light, &texels, &[]);
         let normal = Vec3::new(0.3, -0.5, 0.8).normalize();
         let query = query(center + normal, normal, normal, Vec3::splat(0.5));
@@ -206,13 +206,13 @@ fn a_bowl_gathers_its_geometric_series() {
     let bowl = Shell { center: Vec3::ZERO, radius: 1.0, brim: 0.4, side: -1.0 };
     let (albedo, open) = (0.8f64, 0.3);
     let light = Constant(Vec3::new(1.0, 0.5, 2.0));
-    let texels = [Shown(DiffuseAlbedo(Vec3::splat(albedo as f32)))];
+    let texels = [Shown(Diffuse::of_albedo(Vec3::splat(albedo as f32)))];
     let scene = scene(&bowl, &light, &texels, &[]);
     for max_bounces in [1, 2, 3, 6, 60] {
         let expected: f64 = (0..max_bounces).map(|i| albedo * open * (albedo * (1.0 - open)).powi(i)).sum();
         let settings = PathSettings { max_bounces: max_bounces as u32, ..Default::default() };
         for normal in [Vec3::Z, Vec3::new(0.8, 0.0, 0.6)] {
-            let query = query(-normal, normal, normal + Vec3::X * 0.5, texels[0].0.0);
+            let query = query(-normal, normal, normal + Vec3::X * 0.5, texels[0].0.albedo);
             let found = estimate(&scene, &settings, &query, 1024);
             assert_close(found[0][0], expected, &format!("{max_bounces} bounces"));
             assert_close(found[0][2], 2.0 * expected, &format!("{max_bounces} bounces"));
@@ -226,9 +226,9 @@ fn roulette_keeps_the_mean() {
     let bowl = Shell { center: Vec3::ZERO, radius: 1.0, brim: 0.4, side: -1.0 };
     let lobe = LightLobe { axis: Vec3::new(0.28, 0.0, 0.96), sharpness: 4.0, amplitude: Vec3::ONE };
     let light = LobeLight::new(&[lobe]);
-    let texels = [Shown(DiffuseAlbedo(Vec3::splat(0.5)))];
+    let texels = [Shown(Diffuse::of_albedo(Vec3::splat(0.5)))];
     let scene = scene(&bowl, &light, &texels, &GRAY_SPECULAR);
-    let query = query(-Vec3::Z, Vec3::Z, Vec3::new(-0.5, 0.2, 0.7), texels[0].0.0);
+    let query = query(-Vec3::Z, Vec3::Z, Vec3::new(-0.5, 0.2, 0.7), texels[0].0.albedo);
     let both = PathSettings { max_bounces: 4, ..Default::default() };
     let reference = estimate(&scene, &both, &query, 2048);
     let early = PathSettings { roulette_after: 1, seed: 3, ..both };
@@ -246,10 +246,10 @@ fn roulette_keeps_the_mean() {
 fn results_depend_on_the_query_alone() {
     let bowl = Shell { center: Vec3::ZERO, radius: 1.0, brim: 0.2, side: -1.0 };
     let light = Constant(Vec3::ONE);
-    let texels = [Shown(DiffuseAlbedo(Vec3::splat(0.7)))];
+    let texels = [Shown(Diffuse::of_albedo(Vec3::splat(0.7)))];
     let scene = scene(&bowl, &light, &texels, &GRAY_SPECULAR);
     let settings = PathSettings { seed: 9, ..Default::default() };
-    let base = query(-Vec3::Z, Vec3::Z, Vec3::new(0.1, 0.2, 0.7), texels[0].0.0);
+    let base = query(-Vec3::Z, Vec3::Z, Vec3::new(0.1, 0.2, 0.7), texels[0].0.albedo);
     let queries: Vec<_> = (0..100).map(|stream| PathQuery { stream, ..base }).collect();
     let runs = [1, 3].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

@@ -33,10 +33,9 @@ use lobelia_world::checkpoint::{
 };
 use lobelia_world::light::placement::PlacedFrame;
 use lobelia_world::material::{
-    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, USUAL_ALBEDO,
-    recovered_albedo, recovered_materials,
+    MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, USUAL_ALBEDO, diffuse::of_albedos, recovered_albedo,
+    recovered_materials, spawn_texels,
 };
-use lobelia_world::material::{sheen::KnownAlong, spawn_texels};
 use lobelia_world::pipeline::pool::despawn_rows;
 use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot};
 use lobelia_world::sample::point::Scenery;
@@ -364,15 +363,14 @@ fn with_texels(
     let volume = TexelVolume::new(&grid, level.texel_cells, TEXEL_REACH * half_side);
     // Interpolated where the old lattice has texels, else gray.
     let carried = |at: Vec3| old.and_then(|(old, albedo)| Some(old.nearest_address(at)?.blend(albedo)));
-    let albedo: Vec<Vec3> =
-        volume.positions().map(|at| carried(at).unwrap_or(Vec3::splat(USUAL_ALBEDO))).collect();
+    let albedo = volume.positions().map(|at| carried(at).unwrap_or(Vec3::splat(USUAL_ALBEDO)));
     // They have the state that a fit attaches: one table holds them, and none that they left keeps
     // its room.
-    let (blend, sheen) = new_material(world, &albedo);
-    let texels = (0..).map(TexelIndex).zip(albedo.into_iter().map(DiffuseAlbedo).zip(sheen));
-    world.spawn_batch(texels.map(|(index, (albedo, sheen))| {
+    let blend = remove_texels(world);
+    let texels = (0..).map(TexelIndex).zip(of_albedos(world, albedo));
+    world.spawn_batch(texels.map(|(index, diffuse)| {
         let state = (AlbedoGradient::default(), AlbedoMoments::default(), TexelSeen::default());
-        (index, albedo, sheen, blend, state)
+        (index, diffuse, blend, state)
     }));
     SdfSurface { grid, volume, empty }
 }
@@ -399,13 +397,13 @@ fn silhouette_samples(hull: &SdfGrid, views: &[Silhouette], seed: u64, most: usi
 
 /// Replaces the texels in the world by texels with this albedo, and no sheen but a known one.
 pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
-    let (blend, sheen) = new_material(world, albedo);
-    let (tilt, blends) = (vec![DiffuseTilt::default(); albedo.len()], vec![blend; albedo.len()]);
-    spawn_texels(world, albedo, &sheen, &tilt, &blends);
+    let blend = remove_texels(world);
+    let diffuse = of_albedos(world, albedo.iter().copied());
+    spawn_texels(world, &diffuse, &vec![blend; albedo.len()]);
 }
 
-/// Removes the texels; returns the blend weights of those that replace them, and their sheen.
-fn new_material(world: &mut World, albedo: &[Vec3]) -> (SpecularBlend, Vec<DiffuseSheen>) {
+/// Removes the texels; returns the blend weights of those that replace them.
+fn remove_texels(world: &mut World) -> SpecularBlend {
     let texels = entities::<With<TexelIndex>>(world);
     despawn_rows(world, &texels);
     let materials = recovered_materials(world);
@@ -414,8 +412,7 @@ fn new_material(world: &mut World, albedo: &[Vec3]) -> (SpecularBlend, Vec<Diffu
         blend = SpecularBlend([0.0; MAX_SPECULAR_LOBES]);
         materials.iter().for_each(|(number, _)| blend.0[*number] = 1.0 / materials.len() as f32);
     }
-    let known = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(albedo));
-    (blend, known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()]))
+    blend
 }
 
 /// Removes from the found field what lies outside the hull, and moves its contours to the outlines

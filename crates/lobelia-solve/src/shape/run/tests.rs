@@ -11,7 +11,7 @@ use lobelia_sg::ray::Intersect;
 use lobelia_sg::shading::{ClosedForm, Layers, LobeColumns, ShadePoint};
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
-use lobelia_world::material::SpecularLobe;
+use lobelia_world::material::{Diffuse, SpecularLobe, diffuse::KnownAlong};
 use lobelia_world::pipeline::Stage;
 use lobelia_world::pipeline::pool::read_column;
 
@@ -228,11 +228,10 @@ fn texels_that_are_replaced_keep_a_known_albedo_along_the_surface() {
     let along = Vec3::new(0.7, 0.3, 0.1);
     pipeline.world.insert_resource(KnownAlong::Everywhere(along));
     let found = fitted(&mut pipeline, &options(42));
-    let albedo = recovered_albedo(&mut pipeline.world).unwrap();
-    let sheen = read_column::<TexelIndex, DiffuseSheen>(&mut pipeline.world).unwrap();
-    assert_eq!(albedo.len(), found.volume.len());
-    assert!(albedo.iter().zip(&sheen).all(|(albedo, sheen)| (*albedo + sheen.0).abs_diff_eq(along, 1e-6)));
-    assert!(albedo.iter().any(|color| color.distance(albedo[0]) > 0.01));
+    let texels = read_column::<TexelIndex, Diffuse>(&mut pipeline.world).unwrap();
+    assert_eq!(texels.len(), found.volume.len());
+    assert!(texels.iter().all(|texel| texel.along().abs_diff_eq(along, 1e-6)));
+    assert!(texels.iter().any(|texel| texel.albedo.distance(texels[0].albedo) > 0.01));
 }
 
 #[test]
