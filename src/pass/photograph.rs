@@ -10,7 +10,7 @@ use lobelia_geometry::{error::Result, error::stop::check_interrupted, mesh::Surf
 use lobelia_sg::{fibonacci::fibonacci_axes, ray::Intersect};
 use lobelia_solve::shade::frame::{FramePlugin, render_frame, resolve};
 use lobelia_world::light::lights::{LightChoice, provide_light, spawn_light};
-use lobelia_world::light::{light_frame::LightFrame, placement::LightGroup, placement::PicturePlacement};
+use lobelia_world::light::{light_frame::LightFrame, placement::PicturePlacement};
 use lobelia_world::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, edit::MaterialState};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 use lobelia_world::{material::shown::show_edited, material::shown::spawn_material, sample::point::Scenery};
@@ -93,9 +93,8 @@ impl TrueObject {
             // Rounds under other lights come after those of placements.
             let number = (round + 1).saturating_sub(self.placements.len()).min(lights.len() - 1);
             let choice = LightChoice::Named(name_of(number));
-            let shown = PicturePlacement { room_from_object, light: LightGroup::OWN };
             self.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, true));
-            self.pipeline.world.insert_resource(shown);
+            self.pipeline.world.insert_resource(PicturePlacement(room_from_object));
             frames.push(resolve(&render_frame(&mut self.pipeline, *camera, settings.samples_per_pixel)?));
             done();
         }

@@ -18,9 +18,10 @@ use lobelia_io::codec::{exr_frame::write_frame_rows, file::file_stems, png_file:
 use lobelia_sg::color::srgb_from_linear;
 use lobelia_solve::shade::{adaptive::render_adaptive, frame::band_rows, frame::render_bands};
 use lobelia_world::light::lights::{IncidentLight, provide_turned_light};
+use lobelia_world::light::placement::{GroupInTurn, PicturePlacement};
 use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditTarget};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
-use lobelia_world::{light::placement::PicturePlacement, material::shown::show_edited, sample::despawn_pool};
+use lobelia_world::{material::shown::show_edited, sample::despawn_pool};
 use std::{collections::HashMap, path::PathBuf, sync::mpsc::sync_channel};
 use tracing::info_span;
 
@@ -57,6 +58,7 @@ pub(crate) fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings)
             })
         });
         session.pipeline.world.remove_resource::<PicturePlacement>();
+        session.pipeline.world.remove_resource::<GroupInTurn>();
         written?;
         bar.inc(1);
     }

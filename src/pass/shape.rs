@@ -17,12 +17,13 @@ use lobelia_solve::fit::exposure::{ExposureChoice, Exposures};
 use lobelia_solve::fit::guard::{check_numbers, check_parameters};
 use lobelia_solve::fit::run::{FitOptions, Initialize};
 use lobelia_solve::fit::scale::{ScaleRule, start_scale};
-use lobelia_solve::fit::{groups::forget_visibility, observe::PixelChoice, roughness::TexelPlaces};
+use lobelia_solve::fit::{observe::PixelChoice, roughness::TexelPlaces};
 use lobelia_solve::shape::{
     field::ModelError, field::SdfField, mirror::rounds as mirror_rounds, run::HullReport, run::ShapeLevel,
     run::ShapeOptions, run::ShapeProgress, run::fit_shape, run::refine_by_mirror, run::refine_by_outlines,
     run::refine_by_stereo, run::replace_texels, run::training_silhouettes, stereo::rounds as stereo_rounds,
 };
+use lobelia_solve::visibility::ObjectVisibility;
 use lobelia_solve::{fit::components::Unknowns, shape::hull::extract_parts, shape::systems::ShapeSchedule};
 use lobelia_world::{material::recovered_albedo, sample::point::Scenery};
 use std::{ops::ControlFlow, path::Path, sync::Arc, time::Instant};
@@ -304,7 +305,7 @@ fn put_in_place(session: &mut Session, found: &SdfSurface, mesh: &Mesh, texture_
     insert_known_along(world, &session.scene.material.sheen, &surface)?;
     replace_texels(world, &albedo);
     world.insert_resource(Scenery(surface.clone()));
-    forget_visibility(world);
+    world.remove_resource::<ObjectVisibility>();
     session.surface = surface;
     (session.surface_found, session.kept.has_object) = (true, true);
     Ok(())

@@ -12,7 +12,7 @@ use lobelia_sg::shading::ClosedForm;
 use lobelia_solve::shade::{PathTracing, frame::frame_material, shade_closed_form, shade_path_traced};
 use lobelia_solve::visibility::FrameVisibilityPlugin;
 use lobelia_world::light::lights::{LightChoice, provide_light, spawn_light};
-use lobelia_world::light::placement::{PicturePlacement, Placements};
+use lobelia_world::light::placement::{GroupInTurn, PicturePlacement, Placements};
 use lobelia_world::material::edit::{
     EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit,
 };
@@ -205,8 +205,10 @@ fn weight_at(depth: f32, falloff: f32) -> f32 {
 /// Pictures to come show the object as it lies in this view.
 pub(crate) fn show_placement(world: &mut World, view: Entity) {
     let placement = world.get::<Placement>(view).copied().unwrap_or_default();
-    let shown = world.get_resource::<Placements>().map(|all| PicturePlacement::new(all, placement));
-    shown.into_iter().for_each(|shown| world.insert_resource(shown));
+    let Some(all) = world.get_resource::<Placements>() else { return };
+    let (turn, group) = (all.room_from_object(placement), all.light(placement));
+    world.insert_resource(PicturePlacement(turn));
+    world.insert_resource(GroupInTurn(group));
 }
 
 #[cfg(test)]

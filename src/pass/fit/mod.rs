@@ -28,10 +28,9 @@ use lobelia_solve::fit::exposure::{ExposureChoice, Exposures};
 use lobelia_solve::fit::roughness::{RoughnessPrior, TexelRoughness, attach_roughness};
 use lobelia_solve::fit::run::{FitOptions, FitSummary, Initialize, optimizer_of_texel_roughness};
 use lobelia_solve::fit::scale::{ScaleRule, means};
-use lobelia_solve::fit::{groups::forget_visibility, guard::check_parameters, observe::release_pool};
-use lobelia_world::light::{
-    EnvironmentMap, LightLobe, groups::other_lights, lights::own_lobes, render_lobes,
-};
+use lobelia_solve::fit::{guard::check_parameters, observe::release_pool};
+use lobelia_solve::visibility::ObjectVisibility;
+use lobelia_world::light::{EnvironmentMap, LightLobe, groups::all_lights, render_lobes};
 use lobelia_world::material::{
     DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
     recovered_materials, sheen::KnownAlong, sheen::has_sheen, sheen::write_albedo, texels_in_order,
@@ -189,9 +188,9 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
 /// Writes the light, the albedo texture and the material (with blend weights, if it has several
 /// base materials).
 fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &ScaleFound) -> Result<()> {
-    write_light(&own_lobes(world), folder, "")?;
-    for (number, (lobes, _)) in (2..).zip(other_lights(world)) {
-        write_light(&lobes, folder, &format!("_{number}"))?;
+    for (number, lobes) in (1..).zip(all_lights(world)) {
+        let suffix = if number == 1 { String::new() } else { format!("_{number}") };
+        write_light(&lobes, folder, &suffix)?;
     }
     let albedo = recovered_albedo(world)?;
     write_texture(&folder.join("albedo"), &albedo, atlas)?;
@@ -387,7 +386,7 @@ fn refine_texture(session: &mut Session, pass: &FitPass, options: &FitOptions) -
         let from = (0..fine[0] * fine[1]).map(|i| address(place(i), width, height));
         divide_texels(&mut session.pipeline.world, &from.collect::<Vec<_>>())?;
         session.pipeline.world.insert_resource(Scenery(surface.clone()));
-        forget_visibility(&mut session.pipeline.world);
+        session.pipeline.world.remove_resource::<ObjectVisibility>();
         (session.surface, session.surface_found) = (surface, true);
     }
     let visibility = options.visibility && session.has_visibility()?;

@@ -30,18 +30,19 @@ use crate::scene::{
     Albedo, FitPass, FitShading, Gloss, Light, NdfChoice, Sheen, SpecularAlbedo, uses_published,
 };
 use crate::spawn::{initial_lobes, several_materials};
-use bevy_ecs::prelude::{Entity, Resource, With, World};
+use bevy_ecs::prelude::{Resource, With, World};
 use glam::Vec3;
 use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_stopping};
 use lobelia_sg::{accurate::Quality, brdf::Ndf, shading::ClosedForm};
 use lobelia_solve::fit::{
-    cameras::CameraPlugin, cameras::CameraUnknowns, groups::forget_group_shadows, groups::forget_visibility,
-    guard::check_numbers, guard::check_parameters, roughness::TexelPlaces, run::Done, run::EARLY,
-    run::FitOptions, run::FitProgress, run::FitSummary, run::Initialize, run::may_pause, run::run_fit,
+    cameras::CameraPlugin, cameras::CameraUnknowns, guard::check_numbers, guard::check_parameters,
+    roughness::TexelPlaces, run::Done, run::EARLY, run::FitOptions, run::FitProgress, run::FitSummary,
+    run::Initialize, run::may_pause, run::run_fit,
 };
 use lobelia_solve::shape::{run::training_silhouettes, vertices::MovingMesh, vertices::VertexPlugin};
 use lobelia_solve::{fit::observe::PixelChoice, visibility::ObjectVisibility};
-use lobelia_world::light::{LightLobe, groups::FittedLobe, light_frame::OwnLightFrame};
+use lobelia_world::light::groups::{entities_of_group, light_groups};
+use lobelia_world::light::{light_frame::OwnLightFrame, placement::LightGroup};
 use lobelia_world::material::{
     BaseMaterial, SpecularBlend, SpecularLobe, TexelIndex, first_material, recovered_materials,
     replace_materials, sheen::write_albedo, shown::recovered_material,
@@ -246,10 +247,11 @@ fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions, one: 
     if initialize.light {
         // All lights begin alike.
         let first = initial_lobes(&scene.light, None);
-        let mut query = world.query_filtered::<(Entity, &mut LightLobe), FittedLobe>();
-        let mut lobes: Vec<_> = query.iter_mut(world).collect();
-        lobes.sort_by_key(|(entity, _)| *entity);
-        lobes.into_iter().zip(first.iter().cycle()).for_each(|((_, mut lobe), first)| *lobe = *first);
+        for group in (0..light_groups(world) as u32).map(LightGroup) {
+            let mut entities = entities_of_group(world, group);
+            entities.sort();
+            world.insert_batch(entities.into_iter().zip(first.iter().copied().cycle()));
+        }
     }
     if initialize.albedo {
         let texels = world.query::<&TexelIndex>().iter(world).len();
@@ -472,7 +474,7 @@ fn take_steps(
     if let Some(moved) = moved.filter(|moved| !Arc::ptr_eq(moved, &session.surface)) {
         (session.surface, session.surface_found) = (moved, true);
         // Visibility of the changed mesh is traced again when it is needed.
-        forget_visibility(&mut session.pipeline.world);
+        session.pipeline.world.remove_resource::<ObjectVisibility>();
     }
     let summary = summary?;
     // A stop leaves nothing to choose.
@@ -526,7 +528,6 @@ fn forget_shadows(world: &mut World) {
         let unlit = traced.unlit();
         world.insert_resource(unlit);
     }
-    forget_group_shadows(world);
 }
 
 /// Adds a line to a log: `step` of a `Fit` or `Shape`.
