@@ -41,9 +41,9 @@ fn main() -> Result<()> {
     picture(&mut pipeline, "own_edit_before")?;
     // A picture is drawn tile by tile; the stripes are painted again only if what they are painted
     // on has changed.
-    pipeline.swap(Phase::Frame, Slot::Material, paint_stripes.run_if(recovered_changed));
+    pipeline.swap(Phase::Compose, Slot::Material, paint_stripes.run_if(recovered_changed));
     picture(&mut pipeline, "own_edit_stripes")?;
-    pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
+    pipeline.swap(Phase::Compose, Slot::Material, show_recovered());
     picture(&mut pipeline, "own_edit_after")
 }
 

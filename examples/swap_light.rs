@@ -22,7 +22,7 @@ fn main() -> Result<()> {
     let sky = evening_sky();
     let fitted = fit_map(&sky, 16, &MapFit::default())?;
     spawn_light(&mut pipeline.world, "evening", &fitted.lobes, Some(Arc::new(MapLight::new(sky))));
-    pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Named("evening".into()), true));
+    pipeline.swap(Phase::Compose, Slot::Light, provide_light(LightChoice::Named("evening".into()), true));
     picture(&mut pipeline, "swap_light_map")
 }
 

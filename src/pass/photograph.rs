@@ -80,7 +80,7 @@ impl TrueObject {
             frame.into_iter().for_each(|frame| _ = self.pipeline.world.entity_mut(spawned).insert(frame));
         }
         spawn_edits(&mut self.pipeline.world, TRUTH, edits, &self.surface)?;
-        self.pipeline.swap(Phase::Frame, Slot::Material, show_edited(TRUTH));
+        self.pipeline.swap(Phase::Compose, Slot::Material, show_edited(TRUTH));
         let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
         let samples_per_pixel = ((f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32).pow(2);
         let settings = RenderSettings { shading, samples_per_pixel, ..RenderSettings::default() };
@@ -93,7 +93,7 @@ impl TrueObject {
             // Rounds under other lights come after those of placements.
             let number = (round + 1).saturating_sub(self.placements.len()).min(lights.len() - 1);
             let choice = LightChoice::Named(name_of(number));
-            self.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, true));
+            self.pipeline.swap(Phase::Compose, Slot::Light, provide_light(choice, true));
             self.pipeline.world.insert_resource(PicturePlacement(room_from_object));
             frames.push(resolve(&render_frame(&mut self.pipeline, *camera, settings.samples_per_pixel)?));
             done();

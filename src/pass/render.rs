@@ -102,11 +102,11 @@ fn render_film(
             if let Some(sweep) = &orbit.light {
                 let (choice, by_map) = chosen_light(session, pass, settings.shading);
                 let light = provide_turned_light(choice, by_map, light_turn(sweep, session.scene.up, time));
-                session.pipeline.swap(Phase::Frame, Slot::Light, light);
+                session.pipeline.swap(Phase::Compose, Slot::Light, light);
             }
             if let Some(sweep) = &orbit.material {
                 if frame == 0 {
-                    session.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
+                    session.pipeline.swap(Phase::Compose, Slot::Material, show_edited(pass.name()));
                 }
                 sweep_material(&mut session.pipeline.world, pass.name(), factors(sweep, time));
             }

@@ -1,5 +1,5 @@
-//! The material, light and shading of frames. Each is one system in a slot of the Frame phase, and
-//! a pass swaps them; the recovered material and the scene's own light do not change.
+//! The material, light and shading of frames. Each is one system in a slot of the phases Compose
+//! and Frame, and a pass swaps them; the recovered material and the scene's own light do not change.
 
 use crate::pass::run::session::Session;
 use crate::scene::{ColorAction, Edit, Light, Pass, Region, RenderSettings, ScalarAction, Shading};
@@ -26,7 +26,7 @@ pub(crate) fn show(session: &mut Session, pass: &Pass, settings: &RenderSettings
         spawn_light(&mut session.pipeline.world, pass.name(), &light.lobes, light.map.clone());
     }
     let (choice, by_map) = chosen_light(session, pass, settings.shading);
-    session.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
+    session.pipeline.swap(Phase::Compose, Slot::Light, provide_light(choice, by_map));
     set_shading(&mut session.pipeline, settings, session.scene.seed);
     session.pipeline.remove_plugin::<FrameVisibilityPlugin>();
     // The published formulas are for comparison and include neither shadows nor interreflection;
@@ -40,11 +40,11 @@ pub(crate) fn show(session: &mut Session, pass: &Pass, settings: &RenderSettings
 /// Swaps in the system that shows the recovered material with the edits of a pass.
 fn show_material(session: &mut Session, pass: &Pass) -> Result<()> {
     if pass.edits().is_empty() {
-        session.pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
+        session.pipeline.swap(Phase::Compose, Slot::Material, show_recovered());
         return Ok(());
     }
     spawn_edits(&mut session.pipeline.world, pass.name(), pass.edits(), &session.surface)?;
-    session.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
+    session.pipeline.swap(Phase::Compose, Slot::Material, show_edited(pass.name()));
     Ok(())
 }
 
@@ -66,8 +66,6 @@ pub(crate) fn material_of(session: &mut Session, of: Option<&str>) -> Result<Mat
         return recovered_material(&mut session.pipeline.world);
     };
     show_material(session, pass)?;
-    // What is written needs no shadows; a pass that renders puts them back.
-    session.pipeline.remove_plugin::<FrameVisibilityPlugin>();
     frame_material(&mut session.pipeline)
 }
 

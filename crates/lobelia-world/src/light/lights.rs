@@ -20,8 +20,8 @@
 //! pipeline.world.init_resource::<IncidentLight>();
 //! spawn_light(&mut pipeline.world, "lamp", &[lamp], None);
 //! let choice = LightChoice::Named("lamp".into());
-//! pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, false));
-//! pipeline.run(Phase::Frame)?;
+//! pipeline.swap(Phase::Compose, Slot::Light, provide_light(choice, false));
+//! pipeline.run(Phase::Compose)?;
 //! assert_eq!(pipeline.world.resource::<IncidentLight>().lobes.get(0).axis, [0.0, 1.0, 0.0]);
 //! # Ok::<(), lobelia_geometry::Error>(())
 //! ```
