@@ -28,9 +28,9 @@ fn main() -> Result<()> {
     object.pipeline().world.insert_resource(places);
     picture(&mut object, "own_edit_before")?;
     // The stripes are painted again only if what they are painted on has changed.
-    object.pipeline().swap(Phase::Frame, Slot::Material, paint_stripes.run_if(recovered_changed));
+    object.pipeline().swap(Phase::Compose, Slot::Material, paint_stripes.run_if(recovered_changed));
     picture(&mut object, "own_edit_stripes")?;
-    object.pipeline().swap(Phase::Frame, Slot::Material, show_recovered());
+    object.pipeline().swap(Phase::Compose, Slot::Material, show_recovered());
     picture(&mut object, "own_edit_after")
 }
 

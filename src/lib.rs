@@ -17,7 +17,7 @@
 //! let camera = Camera::look_at(Vec3::new(0.0, 3.0, 0.1), Vec3::ZERO, Vec3::Y, 38.0, 16, 16)?;
 //! let day = resolve(&render_frame(&mut pipeline, camera, 1)?);
 //! spawn_light(&mut pipeline.world, "below", &[lamp(Vec3::NEG_Y)], None);
-//! pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Named("below".into()), false));
+//! pipeline.swap(Phase::Compose, Slot::Light, provide_light(LightChoice::Named("below".into()), false));
 //! let night = resolve(&render_frame(&mut pipeline, camera, 1)?);
 //! assert!(day.color[8 * 16 + 8].y > 10.0 * night.color[8 * 16 + 8].y);
 //! # Ok::<(), lobelia::Error>(())

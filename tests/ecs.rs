@@ -191,9 +191,9 @@ fn shadows_are_computed_again_when_light_or_material_change_and_only_then() {
     world.query::<&mut SpecularLobe>().single_mut(world).unwrap().roughness = 0.5;
     assert_eq!(refreshes(&mut pipeline), 5);
     spawn_light(&mut pipeline.world, "evening", &evening(), None);
-    pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Named("evening".into()), false));
+    pipeline.swap(Phase::Compose, Slot::Light, provide_light(LightChoice::Named("evening".into()), false));
     assert_eq!(refreshes(&mut pipeline), 6, "another light");
-    pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Own, false));
+    pipeline.swap(Phase::Compose, Slot::Light, provide_light(LightChoice::Own, false));
     assert_eq!(refreshes(&mut pipeline), 7, "and back");
     assert_eq!(refreshes(&mut pipeline), 7);
 }
@@ -227,7 +227,7 @@ fn studio_with_sheen_and_tilt() -> Pipeline {
 #[test]
 fn an_edit_of_ones_own_shows_the_sheen_and_tilt_that_it_leaves() {
     let mut pipeline = studio_with_sheen_and_tilt();
-    pipeline.swap(Phase::Frame, Slot::Material, paint_green.run_if(recovered_changed));
+    pipeline.swap(Phase::Compose, Slot::Material, paint_green.run_if(recovered_changed));
     // Without a picture before it.
     let shown = frame_material(&mut pipeline).unwrap();
     let painted = shoot(&mut pipeline, front());
@@ -238,7 +238,7 @@ fn an_edit_of_ones_own_shows_the_sheen_and_tilt_that_it_leaves() {
     assert!(expected.eq(shown.diffuse.iter().copied()));
     assert!(plain.diffuse.iter().any(is_red) && !plain.diffuse.iter().all(is_red));
     spawn_green(&mut pipeline.world);
-    pipeline.swap(Phase::Frame, Slot::Material, show_edited("green"));
+    pipeline.swap(Phase::Compose, Slot::Material, show_edited("green"));
     assert!(close(&shoot(&mut pipeline, front()), &painted), "the same but for rounding of the sheen");
     // What it shows can be written.
     let surface = Surface::new(sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), 32).unwrap();
@@ -249,7 +249,7 @@ fn an_edit_of_ones_own_shows_the_sheen_and_tilt_that_it_leaves() {
         assert!(found.iter().eq(shown.diffuse.iter().map(|texel| &texel.albedo[channel])), "{channel}");
     }
     assert!(["albedo_along.exr", "albedo_tilt.exr"].iter().all(|file| folder.path().join(file).exists()));
-    pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
+    pipeline.swap(Phase::Compose, Slot::Material, show_recovered());
     assert_eq!(frame_material(&mut pipeline).unwrap(), plain);
 }
 
@@ -298,11 +298,11 @@ fn an_edit_is_a_system_in_a_slot_and_leaves_what_was_recovered() {
     let mut pipeline = studio(&day());
     let plain = shoot(&mut pipeline, front());
     let recovered = column::<Diffuse>(&mut pipeline.world);
-    pipeline.swap(Phase::Frame, Slot::Material, paint_green);
+    pipeline.swap(Phase::Compose, Slot::Material, paint_green);
     let painted = shoot(&mut pipeline, front());
     assert_ne!(painted.albedo, plain.albedo);
     let edit = spawn_green(&mut pipeline.world);
-    pipeline.swap(Phase::Frame, Slot::Material, show_edited("green"));
+    pipeline.swap(Phase::Compose, Slot::Material, show_edited("green"));
     assert_eq!(shoot(&mut pipeline, front()), painted);
 
     // An edit that changes, goes, or is not of that name.
@@ -315,9 +315,9 @@ fn an_edit_is_a_system_in_a_slot_and_leaves_what_was_recovered() {
     pipeline.world.despawn(edit);
     assert_eq!(shoot(&mut pipeline, front()), plain);
 
-    pipeline.swap(Phase::Frame, Slot::Material, show_edited("other"));
+    pipeline.swap(Phase::Compose, Slot::Material, show_edited("other"));
     assert_ne!(shoot(&mut pipeline, front()).specular, plain.specular);
-    pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
+    pipeline.swap(Phase::Compose, Slot::Material, show_recovered());
     assert_eq!(shoot(&mut pipeline, front()), plain);
     assert_eq!(column::<Diffuse>(&mut pipeline.world), recovered);
 }
@@ -330,13 +330,13 @@ fn an_edit_of_a_region_shows_base_materials_that_go_with_it() {
     let region = EditRegion(Some((0..count).map(|i| if i < count / 2 { 1.0 } else { 0.0 }).collect()));
     let edit = (EditName("polish".into()), EditTarget::Roughness, EditAction::Set(Vec3::splat(0.1)), region);
     pipeline.world.spawn(edit);
-    pipeline.swap(Phase::Frame, Slot::Material, show_edited("polish"));
+    pipeline.swap(Phase::Compose, Slot::Material, show_edited("polish"));
     let polished = shoot(&mut pipeline, front());
     assert_ne!(polished.specular, plain.specular);
     let shown = |world: &mut World| world.query::<&Shown<SpecularLobe>>().iter(world).len();
     assert_eq!(shown(&mut pipeline.world), 2);
     assert_eq!(shoot(&mut pipeline, front()), polished, "made once, not at every picture");
-    pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
+    pipeline.swap(Phase::Compose, Slot::Material, show_recovered());
     assert_eq!(shoot(&mut pipeline, front()), plain);
     assert_eq!(shown(&mut pipeline.world), 1);
 }
@@ -347,7 +347,7 @@ fn a_named_light_goes_with_its_lobes_and_another_can_take_its_name() {
     let by_day = shoot(&mut pipeline, front());
     let light = spawn_light(&mut pipeline.world, "lamp", &evening(), None);
     assert_eq!(shoot(&mut pipeline, front()), by_day, "the scene's own light is not touched");
-    pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Named("lamp".into()), false));
+    pipeline.swap(Phase::Compose, Slot::Light, provide_light(LightChoice::Named("lamp".into()), false));
     assert_eq!(shoot(&mut pipeline, front()), shoot(&mut studio(&evening()), front()));
     // A lobe is taken from it and one given to it, as any related entity.
     let world = &mut pipeline.world;
@@ -369,7 +369,7 @@ fn an_edit_that_fails_fails_again_and_leaves_nothing_behind() {
     let texels: Arc<[Vec3]> = vec![Vec3::ONE; 7].into();
     let edit = (EditName("paint".into()), EditTarget::Diffuse, EditAction::PerTexel(texels));
     let edit = pipeline.world.spawn(edit).id();
-    pipeline.swap(Phase::Frame, Slot::Material, show_edited("paint"));
+    pipeline.swap(Phase::Compose, Slot::Material, show_edited("paint"));
     for _ in 0..2 {
         assert!(refusal(&mut pipeline).contains("7 texels"));
     }

@@ -55,7 +55,7 @@ fn shading_and_light_are_swapped_in_one_world_and_back() {
         Vec3::new(1.0, 0.8, 0.6) * (3.0 * (6.0 * (d.dot(Vec3::NEG_X) - 1.0)).exp() + 0.05)
     });
     spawn_light(&mut pipeline.world, "sky", &[], Some(Arc::new(MapLight::new(left_sky))));
-    pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Named("sky".into()), true));
+    pipeline.swap(Phase::Compose, Slot::Light, provide_light(LightChoice::Named("sky".into()), true));
     let relit = shoot(&mut pipeline, front);
     let ([left, right], [relit_left, relit_right]) = (halves(&traced), halves(&relit));
     assert!(right > 1.2 * left, "by day: {left} {right}");
@@ -64,7 +64,7 @@ fn shading_and_light_are_swapped_in_one_world_and_back() {
     let dark = shoot(&mut pipeline, front);
     assert!(dark.color.iter().all(|c| *c == Vec3::ZERO));
 
-    pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Own, false));
+    pipeline.swap(Phase::Compose, Slot::Light, provide_light(LightChoice::Own, false));
     let again = shoot(&mut pipeline, front);
     assert_eq!(again, accurate, "the first systems give the first picture");
     pipeline.swap(Phase::Frame, Slot::Shading, traced_shading());
@@ -86,12 +86,12 @@ fn a_map_and_its_lobes_light_alike() {
     let map = EnvironmentMap::from_directions(128, 64, |d| lobelia::light::lobes_radiance(&lobes, d));
     spawn_light(&mut pipeline.world, "day", &lobes, Some(Arc::new(MapLight::new(map))));
     let day = |by_map| provide_light(LightChoice::Named("day".into()), by_map);
-    pipeline.swap(Phase::Frame, Slot::Light, day(true));
+    pipeline.swap(Phase::Compose, Slot::Light, day(true));
     let by_map = shoot(&mut pipeline, front);
     assert_ne!(by_lobes.color, by_map.color, "other samples are drawn");
     let (a, b) = (mean(&by_lobes, |_| true), mean(&by_map, |_| true));
     assert!((a / b - Vec3::ONE).abs().max_element() < 0.03, "lobes {a}, map {b}");
-    pipeline.swap(Phase::Frame, Slot::Light, day(false));
+    pipeline.swap(Phase::Compose, Slot::Light, day(false));
     assert_eq!(shoot(&mut pipeline, front), by_lobes, "the same lobes under a name");
 }
 
@@ -99,12 +99,12 @@ fn a_map_and_its_lobes_light_alike() {
 fn a_light_that_is_not_there_is_one_clean_error() {
     let mut pipeline = studio(&day());
     spawn_light(&mut pipeline.world, "noon", &day(), None);
-    pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Named("night".into()), false));
+    pipeline.swap(Phase::Compose, Slot::Light, provide_light(LightChoice::Named("night".into()), false));
     let front = camera([0.0, 0.1, 1.0], 8);
     let error = render_frame(&mut pipeline, front, 1).map(|_| ()).unwrap_err();
     assert_eq!(error.exit_code(), 1);
     assert!(error.to_string().contains("night") && error.to_string().contains("noon"), "{error}");
-    pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Own, false));
+    pipeline.swap(Phase::Compose, Slot::Light, provide_light(LightChoice::Own, false));
     assert_eq!(shoot(&mut pipeline, front), shoot(&mut studio(&day()), front));
 }
 

@@ -29,7 +29,7 @@ use crate::scene::{
     Albedo, FitPass, FitShading, Gloss, Light, NdfChoice, Sheen, SpecularAlbedo, Tilt, uses_published,
 };
 use crate::spawn::{initial_lobes, initial_specular, several_materials};
-use bevy_ecs::prelude::{Entity, Resource, With, World};
+use bevy_ecs::prelude::{Resource, With, World};
 use glam::{Vec2, Vec3};
 use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_stopping};
 use lobelia_geometry::mesh::{Surface, atlas::address, atlas::fill_uncovered};
@@ -44,13 +44,14 @@ use lobelia_solve::fit::run::{
 };
 use lobelia_solve::fit::scale::{ScaleRule, means};
 use lobelia_solve::fit::{
-    cameras::CameraPlugin, cameras::CameraUnknowns, components::TexelSeen, groups::forget_group_shadows,
-    guard::check_numbers, guard::check_parameters,
+    cameras::CameraPlugin, cameras::CameraUnknowns, components::TexelSeen, guard::check_numbers,
+    guard::check_parameters,
 };
 use lobelia_solve::shape::{run::training_silhouettes, vertices::MovingMesh, vertices::VertexPlugin};
 use lobelia_solve::visibility::ObjectVisibility;
 use lobelia_world::checkpoint::{self, Span, is_due, keep_part, keep_resource, resume_part};
-use lobelia_world::light::{LightLobe, groups::FittedLobe, light_frame::OwnLightFrame};
+use lobelia_world::light::groups::{entities_of_group, light_groups};
+use lobelia_world::light::{light_frame::OwnLightFrame, placement::LightGroup};
 use lobelia_world::material::diffuse::{Diffuse, KnownAlong, has_sheen, has_tilt, write_albedo};
 use lobelia_world::material::{
     BaseMaterial, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, first_material,
@@ -314,10 +315,11 @@ fn try_several(object: &mut Object, pass: &FitPass, before: &FitOptions, one: &S
     if initialize.light {
         // All lights begin alike.
         let first = initial_lobes(&scene.light, None);
-        let mut query = world.query_filtered::<(Entity, &mut LightLobe), FittedLobe>();
-        let mut lobes: Vec<_> = query.iter_mut(world).collect();
-        lobes.sort_by_key(|(entity, _)| *entity);
-        lobes.into_iter().zip(first.iter().cycle()).for_each(|((_, mut lobe), first)| *lobe = *first);
+        for group in (0..light_groups(world) as u32).map(LightGroup) {
+            let mut entities = entities_of_group(world, group);
+            entities.sort();
+            world.insert_batch(entities.into_iter().zip(first.iter().copied().cycle()));
+        }
     }
     if initialize.albedo {
         let texels = world.query::<&TexelIndex>().iter(world).len();
@@ -731,7 +733,6 @@ fn forget_shadows(world: &mut World) {
         let unlit = traced.unlit();
         world.insert_resource(unlit);
     }
-    forget_group_shadows(world);
 }
 
 /// Adds a line to a log: `step` of a `Fit` or `Shape`.

@@ -48,7 +48,7 @@ use lobelia_geometry::{
     mesh::Surface, mesh::atlas::unwrap_mesh, mesh::triangles::Mesh, view::Split, view::ViewRecord,
 };
 use lobelia_solve::fit::run::{Done, FitPlugin, FitSummary, Initialize};
-use lobelia_solve::fit::{FramesTried, components::Unknowns, groups::forget_visibility};
+use lobelia_solve::fit::{FramesTried, components::Unknowns};
 use lobelia_solve::shade::frame::FramePlugin;
 use lobelia_solve::shape::run::keep_texel_count;
 use lobelia_solve::visibility::{ObjectVisibility, VisibilitySettings};
@@ -399,7 +399,7 @@ impl Object {
 fn replace_surface(world: &mut World, surface: Arc<Surface>) {
     world.insert_resource(Scenery(surface.clone()));
     world.insert_resource(ObjectSurface { surface, is_found: true });
-    forget_visibility(world);
+    world.remove_resource::<ObjectVisibility>();
 }
 
 /// Registers what is found of an object beside the columns of a fit, which are loaded after it.

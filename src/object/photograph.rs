@@ -12,8 +12,7 @@ use lobelia_sg::{fibonacci::fibonacci_axes, ray::Intersect};
 use lobelia_solve::shade::frame::{FramePlugin, render_frame, resolve};
 use lobelia_world::light::lights::{LightChoice, provide_light, spawn_light};
 use lobelia_world::light::{
-    groups::GroupLight as NamedLight, light_frame::LightFrame, placement::LightGroup,
-    placement::PicturePlacement,
+    groups::GroupLight as NamedLight, light_frame::LightFrame, placement::PicturePlacement,
 };
 use lobelia_world::material::{Diffuse, SpecularBlend, edit::MaterialState};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
@@ -83,7 +82,7 @@ impl TrueObject {
             frame.into_iter().for_each(|frame| _ = self.pipeline.world.entity_mut(spawned).insert(frame));
         }
         spawn_edits(&mut self.pipeline.world, TRUTH, edits, &self.surface)?;
-        self.pipeline.swap(Phase::Frame, Slot::Material, show_edited(TRUTH));
+        self.pipeline.swap(Phase::Compose, Slot::Material, show_edited(TRUTH));
         let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
         let samples_per_pixel = ((f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32).pow(2);
         let settings = RenderSettings { shading, samples_per_pixel, ..RenderSettings::default() };
@@ -96,9 +95,8 @@ impl TrueObject {
             // Rounds under other lights come after those of placements.
             let number = (round + 1).saturating_sub(self.placements.len()).min(lights.len() - 1);
             let choice = LightChoice::Named(name_of(number));
-            let shown = PicturePlacement { room_from_object, light: LightGroup::OWN };
-            self.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, true));
-            self.pipeline.world.insert_resource(shown);
+            self.pipeline.swap(Phase::Compose, Slot::Light, provide_light(choice, true));
+            self.pipeline.world.insert_resource(PicturePlacement(room_from_object));
             frames.push(resolve(&render_frame(&mut self.pipeline, *camera, settings.samples_per_pixel)?));
             done();
         }

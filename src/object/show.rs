@@ -1,5 +1,5 @@
-//! The material, light and shading of frames. Each is one system in a slot of the Frame phase, and
-//! a pass swaps them; the recovered material and the scene's own light do not change.
+//! What is shown of an object. Material, light and shading are each one system in a slot of the phases
+//! Compose and Frame, which are swapped; the recovered material and the own light do not change.
 
 use crate::object::{Object, ObjectSurface};
 use crate::scene::{ColorAction, Edit, Light, LightSource, Region, RenderSettings, ScalarAction, Shading};
@@ -17,7 +17,7 @@ use lobelia_solve::visibility::FrameVisibilityPlugin;
 use lobelia_world::light::lights::{
     LightChoice, named_light, own_lobes, own_map, provide_light, spawn_light,
 };
-use lobelia_world::light::placement::{PicturePlacement, Placements};
+use lobelia_world::light::placement::{GroupInTurn, PicturePlacement, Placements};
 use lobelia_world::light::{LightLobe, illuminate::MapLight};
 use lobelia_world::material::edit::{
     EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit,
@@ -48,7 +48,7 @@ impl Drop for Appearance<'_> {
         if self.is_in {
             let own = provide_light(LightChoice::Own, false);
             let pipeline = &mut self.object.pipeline;
-            pipeline.swap(Phase::Frame, Slot::Material, show_recovered()).swap(
+            pipeline.swap(Phase::Compose, Slot::Material, show_recovered()).swap(
                 Phase::Frame,
                 Slot::Light,
                 own,
@@ -158,8 +158,6 @@ impl Appearance<'_> {
             return recovered_material(&mut self.object.pipeline.world);
         }
         self.swap_in_material()?;
-        // It needs no shadows.
-        self.object.swap_in_visibility(false)?;
         frame_material(&mut self.object.pipeline)
     }
 
@@ -174,7 +172,7 @@ impl Appearance<'_> {
     pub(crate) fn swap_in(&mut self) -> Result<()> {
         self.swap_in_material()?;
         let (choice, by_map) = self.chosen_light();
-        self.object.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
+        self.object.pipeline.swap(Phase::Compose, Slot::Light, provide_light(choice, by_map));
         let seed = self.object.scene().seed;
         set_shading(&mut self.object.pipeline, &self.settings, seed);
         // The published formulas are for comparison and include neither shadows nor
@@ -186,12 +184,12 @@ impl Appearance<'_> {
         self.is_in = true;
         let Object { pipeline } = &mut *self.object;
         if self.edits.is_empty() {
-            pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
+            pipeline.swap(Phase::Compose, Slot::Material, show_recovered());
             return Ok(());
         }
         let surface = pipeline.world.resource::<ObjectSurface>().surface.clone();
         spawn_edits(&mut pipeline.world, &self.name, &self.edits, &surface)?;
-        pipeline.swap(Phase::Frame, Slot::Material, show_edited(self.name.as_str()));
+        pipeline.swap(Phase::Compose, Slot::Material, show_edited(self.name.as_str()));
         Ok(())
     }
 
@@ -340,8 +338,10 @@ fn weight_at(depth: f32, falloff: f32) -> f32 {
 /// Pictures to come show the object as it lies in this view.
 pub(crate) fn show_placement(world: &mut World, view: Entity) {
     let placement = world.get::<Placement>(view).copied().unwrap_or_default();
-    let shown = world.get_resource::<Placements>().map(|all| PicturePlacement::new(all, placement));
-    shown.into_iter().for_each(|shown| world.insert_resource(shown));
+    let Some(all) = world.get_resource::<Placements>() else { return };
+    let (turn, group) = (all.room_from_object(placement), all.light(placement));
+    world.insert_resource(PicturePlacement(turn));
+    world.insert_resource(GroupInTurn(group));
 }
 
 #[cfg(test)]

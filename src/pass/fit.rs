@@ -18,9 +18,7 @@ use lobelia_io::codec::{envmap::write_map_exr, npy::NpyConvention, npy::write_lo
 use lobelia_solve::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
 use lobelia_solve::fit::exposure::{ExposureChoice, Exposures};
 use lobelia_solve::fit::{components::TexelSeen, roughness::TexelRoughness};
-use lobelia_world::light::{
-    EnvironmentMap, LightLobe, groups::other_lights, lights::own_lobes, render_lobes,
-};
+use lobelia_world::light::{EnvironmentMap, LightLobe, groups::all_lights, render_lobes};
 use lobelia_world::material::diffuse::{Diffuse, has_sheen};
 use lobelia_world::material::{SpecularBlend, SpecularLobe, TexelIndex, recovered_materials};
 use lobelia_world::pipeline::pool::{read_column, with_columns};
@@ -98,9 +96,9 @@ fn report(object: &mut Object, name: &str, FitFound { summary, unseen, .. }: &Fi
 /// Writes the light, the albedo texture and the material (with blend weights, if it has several
 /// base materials).
 fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &ScaleFound) -> Result<()> {
-    write_light(&own_lobes(world), folder, "")?;
-    for (number, (lobes, _)) in (2..).zip(other_lights(world)) {
-        write_light(&lobes, folder, &format!("_{number}"))?;
+    for (number, lobes) in (1..).zip(all_lights(world)) {
+        let suffix = if number == 1 { String::new() } else { format!("_{number}") };
+        write_light(&lobes, folder, &suffix)?;
     }
     with_columns::<TexelIndex, &Diffuse, _>(world, |texels| {
         let write = |name: &str, of: fn(&Diffuse) -> Vec3| {

@@ -18,9 +18,10 @@ use lobelia_io::codec::{exr_frame::write_frame_rows, file::file_stems, png_file:
 use lobelia_sg::color::srgb_from_linear;
 use lobelia_solve::shade::{adaptive::render_adaptive, frame::band_rows, frame::render_bands};
 use lobelia_world::light::lights::{IncidentLight, LightChoice, provide_turned_light};
+use lobelia_world::light::placement::{GroupInTurn, PicturePlacement};
 use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditTarget};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
-use lobelia_world::{light::placement::PicturePlacement, material::shown::show_edited, sample::despawn_pool};
+use lobelia_world::{material::shown::show_edited, sample::despawn_pool};
 use std::{collections::HashMap, path::Path, path::PathBuf, sync::mpsc::sync_channel};
 use tracing::info_span;
 
@@ -59,6 +60,7 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &Pass, settings: &Rende
             })
         });
         object.pipeline.world.remove_resource::<PicturePlacement>();
+        object.pipeline.world.remove_resource::<GroupInTurn>();
         written?;
         bar.inc(1);
     }
@@ -111,11 +113,11 @@ fn render_film(
             if let Some(sweep) = &orbit.light {
                 let (choice, by_map) = light.clone();
                 let light = provide_turned_light(choice, by_map, light_turn(sweep, object.scene().up, time));
-                object.pipeline.swap(Phase::Frame, Slot::Light, light);
+                object.pipeline.swap(Phase::Compose, Slot::Light, light);
             }
             if let Some(sweep) = &orbit.material {
                 if frame == 0 {
-                    object.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
+                    object.pipeline.swap(Phase::Compose, Slot::Material, show_edited(pass.name()));
                 }
                 sweep_material(&mut object.pipeline.world, pass.name(), factors(sweep, time));
             }

@@ -9,7 +9,7 @@ use lobelia_geometry::{error::Result, mesh::Surface};
 use lobelia_io::codec::file::write_bytes;
 use lobelia_sg::statistics::median;
 use lobelia_solve::fit::{guard::StepGuard, loss::ViewSum, loss::ViewSums, loss::is_outlier};
-use lobelia_world::light::{LightLobe, groups::other_lights, lights::own_lobes};
+use lobelia_world::light::{LightLobe, groups::all_lights};
 use std::fmt::Write as _;
 use std::{collections::HashMap, collections::HashSet, path::Path};
 
@@ -31,8 +31,7 @@ pub(super) fn note_fit(object: &mut Object) {
     let views = silhouettes(object, |_, split| split == Split::Train);
     let world = &mut object.pipeline.world;
     let sums = world.get_resource::<ViewSums>().cloned().unwrap_or_default();
-    let mut lobes = own_lobes(world);
-    lobes.extend(other_lights(world).into_iter().flat_map(|(lobes, _)| lobes));
+    let lobes = all_lights(world).concat();
     let with_sums = |(_, index, view): (Entity, ViewIndex, ViewOutcome)| {
         let sum = sums.of(index);
         let (psnr, outliers) = (sum.psnr(), sum.outlier_share());

@@ -20,7 +20,7 @@
 //! All channels share the weight, that of their mean radiance, and the direction of the tilt, so
 //! that weighted least squares over the pixels of a texel needs 31 sums.
 
-use crate::fit::groups::{exchange_light, groups_of_views};
+use crate::fit::groups::{end_turns, groups_of_views};
 use crate::fit::observe::{observed_in, spawn_samples, usable_by_view, usable_pixels};
 use crate::fit::{components::TexelSeen, exposure::Exposures, metal::Metals};
 use crate::shade::frame::{add_gathering, add_material_resources, trace_samples};
@@ -29,14 +29,14 @@ use crate::visibility::{WindowVisibility, see_material};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World};
 use glam::{Mat2, Mat3, Vec2, Vec3};
 use half::f16;
+use lobelia_geometry::Result;
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::parallel;
 use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex};
-use lobelia_geometry::{Error, Result};
 use lobelia_sg::ray::TexelAddress;
 use lobelia_sg::shading::{ClosedForm, Layers, ShadePoint};
 use lobelia_world::light::lights::{LightChoice, provide_light};
-use lobelia_world::light::placement::LightGroup;
+use lobelia_world::light::placement::GroupInTurn;
 use lobelia_world::material::diffuse::{KnownAlong, MOST_TILT, along_surface, grazing, has_sheen};
 use lobelia_world::material::material_source::RecoveredMaterial;
 use lobelia_world::material::{Diffuse, SpecularBlend, TexelIndex, recovered_materials};
@@ -129,6 +129,7 @@ pub fn solve_detail(
     let shaded = shade_pixels(pipeline, &mut |part| watch(SHADING_PART * part));
     let pixels = std::mem::take(&mut pipeline.world.resource_mut::<DetailPixels>().kept);
     despawn_pool(&mut pipeline.world);
+    end_turns(&mut pipeline.world);
     pipeline.remove_plugin::<DetailPlugin>();
     shaded?;
     let _sweeping = info_span!("sweeps").entered();
@@ -164,26 +165,18 @@ fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<(
     // As many as there may be, so that growing never copies them.
     let most = views.iter().map(|(_, pixels)| pixels.div_ceil(every)).sum();
     pipeline.world.resource_mut::<DetailPixels>().kept.reserve_exact(most);
-    let mut done = 0;
-    for of_group in views.chunk_by(|a, b| group_of(a) == group_of(b)) {
-        let group = of_group.first().map_or(LightGroup::OWN, group_of);
-        exchange_light(&mut pipeline.world, group);
-        let shaded = of_group.iter().try_for_each(|(view, _)| {
-            // The rest is left out once the run is stopped.
-            if !is_stopping() {
-                let pixels = usable_pixels(&mut pipeline.world, *view, every);
-                for part in pixels.chunks(BATCH).take_while(|_| !is_stopping()) {
-                    pipeline.world.resource_mut::<Window>().0 = 0..part.len();
-                    pipeline.world.resource_mut::<DetailPixels>().present = part.to_vec();
-                    pipeline.run(Phase::Detail)?;
-                }
+    for (done, view) in (1..).zip(&views) {
+        // The rest is left out once the run is stopped.
+        if !is_stopping() {
+            pipeline.world.insert_resource(GroupInTurn(group_of(view)));
+            let pixels = usable_pixels(&mut pipeline.world, view.0, every);
+            for part in pixels.chunks(BATCH).take_while(|_| !is_stopping()) {
+                pipeline.world.resource_mut::<Window>().0 = 0..part.len();
+                pipeline.world.resource_mut::<DetailPixels>().present = part.to_vec();
+                pipeline.run(Phase::Detail)?;
             }
-            done += 1;
-            watch(done as f32 / views.len() as f32);
-            Ok::<_, Error>(())
-        });
-        exchange_light(&mut pipeline.world, group);
-        shaded?;
+        }
+        watch(done as f32 / views.len() as f32);
     }
     Ok(())
 }

@@ -16,7 +16,7 @@
 //! Measured where the truth is known, errors are `OPTIMISM` times as large
 //! (`docs/research/fit.md`), so the deviations are multiplied by it.
 
-use crate::fit::initialization::{Initialization, Known, extent, lobes_of, traced, with_initialization};
+use crate::fit::initialization::{Initialization, Known, extent, traced, with_initialization};
 use crate::fit::{components::Unknowns, loss::radiance, run::FitOptions};
 use crate::shade::systems::kernel_specular;
 use bevy_ecs::prelude::World;
@@ -26,7 +26,7 @@ use lobelia_geometry::parallel;
 use lobelia_sg::linear::{cholesky, solve_factored};
 use lobelia_sg::shading::{ClosedForm, Lighting, LobeColumns, LobeVisibility, ShadePoint, SpecularValue};
 use lobelia_sg::{fibonacci::fibonacci_axes, sg::sphere_integral, shading::RESPONSE_ROWS};
-use lobelia_world::light::LightLobe;
+use lobelia_world::light::{LightLobe, lights::own_lobes};
 use lobelia_world::material::{SpecularLobe, recovered_albedo, recovered_materials};
 use lobelia_world::sample::Observation;
 use serde::{Deserialize, Serialize};
@@ -96,7 +96,7 @@ pub(crate) fn measure(world: &mut World, options: &FitOptions) -> Result<Option<
     if !unknowns.light && !unknowns.specular_albedo && !unknowns.roughness {
         return Ok(None);
     }
-    let (lobes, texels) = (lobes_of(world).1, recovered_albedo(world)?);
+    let (lobes, texels) = (own_lobes(world), recovered_albedo(world)?);
     // With shadows of the light that was found, and without a change for what comes after.
     let object = traced(world, shadowed);
     let known = Known { form, specular: *specular, unknowns, object, in_part: true, placement: None };

@@ -1,63 +1,28 @@
 //! Lights that take turns: photographs of several [groups](lobelia_world::light::groups), each
 //! under a light of its own.
 //!
-//! A step visits the photographs of one group. Before it, the values of the scene's own light and
-//! of the group's are exchanged, with their moments and shadows, and after it they are exchanged
-//! back; systems know of one light alone. Groups have turns in proportion to their pixels. Albedo
-//! and materials are common to all, and so is the scale between light and albedo.
+//! A step visits the photographs of one group, the [`GroupInTurn`], whose light is that of the step.
+//! Groups have turns in proportion to their pixels. Albedo and materials are common to all, and so
+//! is the scale between light and albedo.
 
-use crate::fit::run::{entities, remove_from};
-use crate::{fit::components::LobeMoments, visibility::ObjectVisibility};
-use bevy_ecs::prelude::{Component, Entity, With, Without, World};
+use crate::visibility::ObjectVisibility;
+use bevy_ecs::prelude::{With, World};
 use lobelia_geometry::view::{ByView, Placement, ViewIndex};
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::groups::{group_light, light_groups};
-use lobelia_world::light::lights::{LobeOf, LobesOf};
-use lobelia_world::light::placement::{LightGroup, Placements};
+use lobelia_world::light::groups::light_groups;
+use lobelia_world::light::placement::{GroupInTurn, LightGroup, Placements};
 use lobelia_world::sample::{Observation, ObservationIndex};
 use std::ops::Range;
 
 /// Least share of the steps that a group has, relative to an equal share.
 const LEAST_SHARE: f64 = 0.25;
 
-/// The shadows under the light of a group, while another one shines.
-#[derive(Component)]
-struct GroupVisibility(ObjectVisibility);
-
-/// Exchanges the scene's own light and that of a group: lobes, moments and shadows. Twice is as
-/// before. Nothing changes for the first group.
-pub(crate) fn exchange_light(world: &mut World, group: LightGroup) {
-    let Some(light) = group_light(world, group) else { return };
-    let of_group = world.get::<LobesOf>(light).map(|of| of.entities().to_vec()).unwrap_or_default();
-    for (own, of_group) in entities::<(With<LightLobe>, Without<LobeOf>)>(world).into_iter().zip(of_group) {
-        exchange::<LightLobe>(world, [own, of_group]);
-        exchange::<LobeMoments>(world, [own, of_group]);
+/// Lets the scene's own light shine again, and forgets shadows and reflected light under those of
+/// groups.
+pub(super) fn end_turns(world: &mut World) {
+    world.remove_resource::<GroupInTurn>();
+    if let Some(mut object) = world.get_resource_mut::<ObjectVisibility>() {
+        object.forget_turns();
     }
-    // Shadows of another surface, or of another state of it, are found anew.
-    let kept = world.entity_mut(light).take::<GroupVisibility>();
-    if let Some(now) = world.remove_resource::<ObjectVisibility>() {
-        let kept = kept.map(|kept| kept.0).filter(|kept| kept.is_traced_as(&now));
-        world.insert_resource(kept.unwrap_or_else(|| now.unlit()));
-        world.entity_mut(light).insert(GroupVisibility(now));
-    }
-}
-
-/// Exchanges a component that both entities have.
-fn exchange<T: Component + Copy>(world: &mut World, entities: [Entity; 2]) {
-    if let [Some(a), Some(b)] = entities.map(|entity| world.get::<T>(entity).copied()) {
-        world.insert_batch(entities.into_iter().zip([b, a]));
-    }
-}
-
-/// Forgets what was traced of the surface, for all groups.
-pub fn forget_visibility(world: &mut World) {
-    world.remove_resource::<ObjectVisibility>();
-    forget_group_shadows(world);
-}
-
-/// Makes all groups find shadows and reflected light anew.
-pub fn forget_group_shadows(world: &mut World) {
-    remove_from::<With<LightGroup>, GroupVisibility>(world);
 }
 
 /// The group of each view.
@@ -198,9 +163,6 @@ impl Turns {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::components::{AdamStep, Moments};
-    use lobelia_world::light::groups::{lobes_of_group, spawn_group_lights};
-    use lobelia_world::light::lights::own_lobes;
 
     /// As many pixels in each step.
     fn always(pixels: usize) -> StepPixels {
@@ -246,32 +208,5 @@ mod tests {
         let rows = taken.each_ref().map(|turn| turn.rows.clone());
         assert_eq!(rows, [0..50, 50..100, 100..150, 150..250, 0..100, 100..200, 200..250]);
         assert_eq!(taken.iter().position(|turn| turn.is_last), Some(4));
-    }
-
-    #[test]
-    fn an_exchange_takes_moments_along_and_twice_is_as_before() {
-        let mut world = World::new();
-        let moments = |gradient: f32| {
-            let mut moments = Moments::default();
-            AdamStep::new(1.0, 1).advance(&mut moments, &[gradient; 7]);
-            LobeMoments(moments)
-        };
-        LightLobe::even(4).into_iter().for_each(|lobe| _ = world.spawn((lobe, moments(1.0))));
-        let other = LightLobe::even(3);
-        spawn_group_lights(&mut world, &[(other.clone(), None)]);
-        let of_group: Vec<Entity> = world.query_filtered::<Entity, With<LobeOf>>().iter(&world).collect();
-        of_group.into_iter().for_each(|lobe| _ = world.entity_mut(lobe).insert(moments(2.0)));
-        let before = own_lobes(&mut world);
-        exchange_light(&mut world, LightGroup(1));
-        assert_eq!(own_lobes(&mut world)[..3], other);
-        assert_eq!(lobes_of_group(&mut world, LightGroup(1)), before);
-        let own = |world: &mut World| -> Vec<LobeMoments> {
-            world.query_filtered::<&LobeMoments, Without<LobeOf>>().iter(world).copied().collect()
-        };
-        assert_eq!(own(&mut world), [moments(2.0); 4]);
-        exchange_light(&mut world, LightGroup(1));
-        assert_eq!((own_lobes(&mut world), own(&mut world)), (before.clone(), vec![moments(1.0); 4]));
-        exchange_light(&mut world, LightGroup::OWN);
-        assert_eq!(own_lobes(&mut world), before);
     }
 }

@@ -6,11 +6,11 @@
 //! lobes with very little power are moved to resolve the bright parts: like split and merge in
 //! [`fit_map`](lobelia_world::light::map_fit), with photographs in place of the map.
 
-use crate::fit::{components::Unknowns, groups::exchange_light, loss::radiance};
+use crate::fit::{components::Unknowns, loss::radiance};
 use crate::shade::systems::{kernel_specular, turned};
 use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
-use bevy_ecs::prelude::{Entity, With, World};
-use bevy_ecs::{prelude::Without, system::SystemState};
+use bevy_ecs::prelude::{With, World};
+use bevy_ecs::system::SystemState;
 use fearless_simd::{Level, dispatch};
 use glam::{DVec3, Mat3, Vec3};
 use lobelia_geometry::error::stop::check_interrupted;
@@ -23,13 +23,14 @@ use lobelia_sg::shading::{
 };
 use lobelia_sg::{brdf::Ndf, color::luminance, published::Lobe, sg::sphere_integral, shading::RESPONSE_ROWS};
 use lobelia_world::light::LightLobe;
+use lobelia_world::light::groups::{all_lights, entities_of_group, light_groups};
 use lobelia_world::light::placement::{LightGroup, PlacedFrame};
+use lobelia_world::material::diffuse::write_albedo;
 use lobelia_world::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, USUAL_ALBEDO, recovered_albedo, recovered_materials,
 };
 use lobelia_world::sample::point::SurfacePoint;
 use lobelia_world::sample::{Observation, Observations, light_rotations};
-use lobelia_world::{light::groups::light_groups, light::lights::LobeOf, material::diffuse::write_albedo};
 use std::ops::Range;
 use std::{borrow::Cow, f32::consts::FRAC_1_PI};
 use tracing::info_span;
@@ -68,26 +69,15 @@ pub(crate) fn initialize_light_and_albedo(
     if !unknowns.light && !unknowns.albedo {
         return Ok(());
     }
-    let groups: Vec<LightGroup> = (0..light_groups(world) as u32).map(LightGroup).collect();
-    // Also those without radiance.
-    let lobes_of_light = |group: &LightGroup| {
-        exchange_light(world, *group);
-        let lobes = lobes_of(world).1;
-        exchange_light(world, *group);
-        lobes
-    };
-    let mut lights: Vec<Vec<LightLobe>> = groups.iter().map(lobes_of_light).collect();
+    let mut lights = all_lights(world);
     let specular = least_rough(world);
     let mut texels = recovered_albedo(world)?;
     let object = traced(world, shadowed);
     let known = Known { form, specular, unknowns, object, in_part: false, placement: None };
     with_initialization(world, known, |problems| alternate(problems, &mut lights, &mut texels))?;
-    for (group, lobes) in groups.into_iter().zip(&lights) {
-        exchange_light(world, group);
-        for (entity, lobe) in lobes_of(world).0.into_iter().zip(lobes) {
-            world.entity_mut(entity).insert(*lobe);
-        }
-        exchange_light(world, group);
+    for (number, lobes) in (0..).zip(lights) {
+        let entities = entities_of_group(world, LightGroup(number));
+        world.insert_batch(entities.into_iter().zip(lobes));
     }
     write_albedo(world, &texels)
 }
@@ -95,12 +85,6 @@ pub(crate) fn initialize_light_and_albedo(
 /// The occlusion of the object, without the light of the last update, if it is `shadowed`.
 pub(crate) fn traced(world: &World, shadowed: bool) -> Option<ObjectVisibility> {
     world.get_resource::<ObjectVisibility>().filter(|_| shadowed).map(ObjectVisibility::unlit)
-}
-
-/// The lobes of the scene's own light.
-pub(crate) fn lobes_of(world: &mut World) -> (Vec<Entity>, Vec<LightLobe>) {
-    let mut query = world.query_filtered::<(Entity, &LightLobe), Without<LobeOf>>();
-    query.iter(world).map(|(entity, lobe)| (entity, *lobe)).unzip()
 }
 
 /// The inputs of the initialization besides samples.

@@ -14,7 +14,7 @@
 //! light that the photographs of all placements have together.
 
 use crate::fit::components::{StepRates, Unknowns};
-use crate::fit::initialization::{Initialization, Known, extent, least_rough, lobes_of, with_initialization};
+use crate::fit::initialization::{Initialization, Known, extent, least_rough, with_initialization};
 use crate::shade::systems::{kernel_specular, shade_materials, turned};
 use crate::{fit::exposure::Exposures, fit::loss::radiance, visibility::WindowVisibility};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, With, World};
@@ -29,7 +29,7 @@ use lobelia_sg::shading::{
 };
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, turning_axis};
-use lobelia_world::light::lights::IncidentLight;
+use lobelia_world::light::lights::{IncidentLight, own_lobes};
 use lobelia_world::light::placement::{
     LightGroup, PlacedFrame, PlacementTurn, Placements, TurnSource, light_from_world,
 };
@@ -218,7 +218,7 @@ pub(crate) fn find_placements(world: &mut World, unknowns: Unknowns, form: Close
     }
     let _finding = info_span!("placements").entered();
     for round in 0..if unknowns.light { ROUNDS } else { 1 } {
-        let mut lobes = lobes_of(world).1;
+        let mut lobes = own_lobes(world);
         if unknowns.light {
             // That of the first placement alone is known without the rotations of others.
             let placement = (round == 0).then_some(Placement(0));

@@ -10,7 +10,7 @@ use crate::fit::components::{
 };
 use crate::fit::determined::{Determined, measure};
 use crate::fit::exposure::{ExposureChoice, Exposures, find_exposures};
-use crate::fit::groups::{StepPixels, Turns, exchange_light, forget_group_shadows, lights_of_views};
+use crate::fit::groups::{StepPixels, Turns, end_turns, lights_of_views};
 use crate::fit::guard::{
     StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound,
 };
@@ -49,7 +49,7 @@ use lobelia_world::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_res
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::light::lights::{LightChoice, provide_light};
-use lobelia_world::light::placement::Placements;
+use lobelia_world::light::placement::{GroupInTurn, Placements};
 use lobelia_world::light::{groups::FittedLobe, lobes_in_use};
 use lobelia_world::material::material_source::{PlainBlends, RecoveredMaterial};
 use lobelia_world::material::{BaseMaterial, Diffuse, SpecularBlend, SpecularLobe, TexelIndex};
@@ -312,7 +312,7 @@ pub fn run_fit(
     if !options.keeps_pool || fitted.is_err() {
         release_pool(&mut pipeline.world);
     }
-    forget_group_shadows(&mut pipeline.world);
+    end_turns(&mut pipeline.world);
     fitted
 }
 
@@ -349,11 +349,9 @@ fn fit(
         world.insert_resource(RefreshDue(turn.refreshes));
         world.resource_mut::<TexelPlaces>().progress = step as f32 / options.steps as f32;
         begin_step(world);
-        exchange_light(world, turn.group);
-        let ran = pipeline.run(Phase::FitStep);
+        world.insert_resource(GroupInTurn(turn.group));
+        pipeline.run(Phase::FitStep)?;
         let world = &mut pipeline.world;
-        exchange_light(world, turn.group);
-        ran?;
         end_step(world, step)?;
         summary.steps = step;
         let last = world.resource::<LossState>().last;

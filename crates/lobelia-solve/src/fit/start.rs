@@ -9,7 +9,7 @@
 //! is matte, and it hides the other: each frame is judged by the lobe that suits it.
 
 use crate::fit::components::Unknowns;
-use crate::fit::initialization::{Known, least_rough, lobes_of, with_initialization};
+use crate::fit::initialization::{Known, least_rough, with_initialization};
 use crate::fit::placements::{camera_axes, placements_are_open};
 use bevy_ecs::prelude::{Resource, With, World};
 use glam::Vec3;
@@ -19,6 +19,7 @@ use lobelia_geometry::view::Placement;
 use lobelia_sg::shading::ClosedForm;
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame, turning_axis};
+use lobelia_world::light::lights::own_lobes;
 use lobelia_world::light::placement::Placements;
 use lobelia_world::material::{BaseMaterial, SpecularLobe, recovered_albedo, recovered_materials};
 use serde::{Deserialize, Serialize};
@@ -118,7 +119,7 @@ fn errors(
     unknowns: Unknowns,
     form: ClosedForm,
 ) -> Result<Vec<Vec<f32>>> {
-    let (own, texels) = (lobes_of(world).1, recovered_albedo(world)?);
+    let (own, texels) = (own_lobes(world), recovered_albedo(world)?);
     let spread = unknowns.light && own.len() > MOST_TRIED;
     let lobes = if spread { LightLobe::even(MOST_TRIED) } else { own };
     // How the object lies in others is found by the frame and the light of the first.

@@ -7,7 +7,7 @@
 //! | --- | --- | --- | --- |
 //! | [`CONTRAST`] | | 0.02 | difference of colors as they are shown, in [0, 1], from which both pixels get all rays |
 
-use crate::shade::frame::{FrameTarget, PixelSums, bands, render_rows, run_for_no_pixel, spawn_pool};
+use crate::shade::frame::{FrameTarget, PixelSums, bands, render_rows, spawn_pool};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use lobelia_geometry::parallel;
@@ -50,8 +50,6 @@ pub fn render_adaptive(
     let per_pixel = FrameTarget::band(camera, samples_per_pixel, 0..0).samples_per_pixel();
     let most = shows.iter().map(|side| side.len()).product::<usize>() * per_pixel;
     spawn_pool(&mut pipeline.world, most);
-    // The light behind is there before the first band, which may not show the object.
-    run_for_no_pixel(pipeline, camera)?;
     bands(camera, rows_per_band).try_for_each(|rows| {
         let band = render_band(pipeline, camera, samples_per_pixel, encode, rows, &shows)?;
         take(&pipeline.world, band)

@@ -1,6 +1,6 @@
 //! The Frame phase: one tile of a picture, or of a band of its rows, at a time, Sample ▸ Trace ▸
 //! Gather ▸ Shade ▸ Resolve. [`render_frame`] runs it tile by tile, with whatever systems are in
-//! its slots.
+//! its slots, after the Compose phase, which makes material and light.
 //!
 //! ```
 //! use glam::Vec3;
@@ -147,8 +147,8 @@ impl FrameTarget {
     }
 }
 
-/// Rendering of pictures: the Frame phase with the recovered material, the scene's own light and
-/// accurate closed-form shading. Each of these systems can be swapped.
+/// Rendering of pictures: the Compose phase with the recovered material and the scene's own light,
+/// the Frame phase with accurate closed-form shading. Each of these systems can be swapped.
 pub struct FramePlugin;
 
 impl Plugin for FramePlugin {
@@ -157,8 +157,8 @@ impl Plugin for FramePlugin {
         pipeline
             .add_systems(Phase::Frame, Stage::Sample, sample_pixels)
             .add_systems(Phase::Frame, Stage::Trace, trace_samples)
-            .swap(Phase::Frame, Slot::Material, show_recovered())
-            .swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Own, false))
+            .swap(Phase::Compose, Slot::Material, show_recovered())
+            .swap(Phase::Compose, Slot::Light, provide_light(LightChoice::Own, false))
             .swap(Phase::Frame, Slot::Shading, shade_closed_form(ClosedForm::default()))
             .add_systems(Phase::Frame, Stage::Resolve, resolve_pixels);
         add_gathering::<ShownMaterial>(pipeline, Phase::Frame);
@@ -277,7 +277,9 @@ pub(super) fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Resul
     // a pixel has more samples.
     let tile = POOL - if per_pixel <= POOL { POOL % per_pixel } else { 0 };
     let first = samples.start - samples.start % tile;
-    with_target(pipeline, target, |pipeline| {
+    pipeline.world.insert_resource(PictureRotation(target.camera.world_from_camera.matrix3.into()));
+    pipeline.world.insert_resource(target);
+    let outcome = pipeline.run(Phase::Compose).and_then(|()| {
         (first..samples.end).step_by(tile).try_for_each(|cursor| {
             pipeline.world.resource_mut::<FrameTarget>().cursor = cursor;
             let end = samples.end.min(cursor + tile);
@@ -286,42 +288,18 @@ pub(super) fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Resul
             // A tile that was stopped is not whole.
             check_interrupted()
         })
-    })
-}
-
-/// Calls `run` while the target and the rotation of its camera are resources.
-fn with_target(
-    pipeline: &mut Pipeline,
-    target: FrameTarget,
-    run: impl FnOnce(&mut Pipeline) -> Result<()>,
-) -> Result<FrameTarget> {
-    pipeline.world.insert_resource(PictureRotation(target.camera.world_from_camera.matrix3.into()));
-    pipeline.world.insert_resource(target);
-    let outcome = run(pipeline);
+    });
     pipeline.world.remove_resource::<PictureRotation>();
     let target = pipeline.world.remove_resource::<FrameTarget>().expect("it was inserted above");
     outcome.map(|()| target)
 }
 
-/// Runs the Frame phase of this camera for no pixel: the systems in the slots of material and light
-/// have their turn.
-///
-/// # Errors
-/// The first error of a system.
-pub(super) fn run_for_no_pixel(pipeline: &mut Pipeline, camera: Camera) -> Result<()> {
-    pipeline.world.resource_mut::<Window>().0 = 0..0;
-    with_target(pipeline, FrameTarget::band(camera, 1, 0..0), |pipeline| pipeline.run(Phase::Frame)).map(drop)
-}
-
-/// The material that a frame would show now: the Frame phase runs for no pixel, so that the system
-/// in [`Slot::Material`] has its turn.
+/// The material that a frame would show now, by the system in [`Slot::Material`].
 ///
 /// # Errors
 /// The first error of a system; if the pool of texels is not whole.
 pub fn frame_material(pipeline: &mut Pipeline) -> Result<MaterialState> {
-    let camera = Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 40.0, 1, 1)?;
-    despawn_pool(&mut pipeline.world);
-    run_for_no_pixel(pipeline, camera)?;
+    pipeline.run(Phase::Compose)?;
     shown_material(&mut pipeline.world)
 }
 

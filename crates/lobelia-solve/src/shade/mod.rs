@@ -1,5 +1,5 @@
 //! The Gather and Shade stages, which compute outgoing radiance from surface points, light and
-//! material; and the Frame phase.
+//! material; and the phases Compose and Frame.
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |

@@ -47,6 +47,7 @@ use bevy_ecs::system::ScheduleSystem;
 use lobelia_sg::shading::PointVisibility;
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::lights::IncidentLight;
+use lobelia_world::light::placement::{GroupInTurn, LightGroup};
 use lobelia_world::material::material_source::{
     BaseMaterials, ColumnOf, Holds, MaterialSource, RecoveredMaterial, ShownMaterial, TexelColumns,
 };
@@ -91,7 +92,12 @@ pub(crate) fn see_material<M: MaterialSource>() -> ScheduleConfigs<ScheduleSyste
 /// [`RefreshDue`] is set; needs an [`ObjectVisibility`].
 pub(crate) fn see_material_of_step() -> ScheduleConfigs<ScheduleSystem> {
     let is_due = refresh_is_due.and_then(light_or_material_changed::<RecoveredMaterial>);
-    (refresh_visibility::<RecoveredMaterial>.run_if(is_due), gather_visibility::<true>).chain()
+    (take_turn, refresh_visibility::<RecoveredMaterial>.run_if(is_due), gather_visibility::<true>).chain()
+}
+
+/// Gather: takes up the shadows and interreflection of the [`GroupInTurn`].
+fn take_turn(in_turn: Option<Res<GroupInTurn>>, mut object: ResMut<ObjectVisibility>) {
+    object.turn_to(in_turn.map_or(LightGroup::OWN, |turn| turn.0));
 }
 
 /// Run condition: whether this step of a fit updates visibility, or the set of lobes has changed.

@@ -12,10 +12,11 @@ use lobelia_geometry::mesh::Surface;
 use lobelia_geometry::parallel;
 use lobelia_sg::fibonacci::fibonacci_axes;
 use lobelia_sg::shading::{LobeColumns, LobeVisibility, PointVisibility};
+use lobelia_world::light::placement::LightGroup;
 use lobelia_world::sample::pixel::PixelOf;
 use lobelia_world::sample::point::SurfacePoint;
 use std::any::TypeId;
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 /// Angle below which two rotations count as one: 2°.
 const SAME_TURN: f32 = 0.035;
@@ -84,6 +85,10 @@ pub struct ObjectVisibility {
     /// The part of each lobe that reaches each row, for each sky, if there are few.
     parts: Vec<Vec<u8>>,
     pub(super) stride: usize,
+    /// The group of photographs whose light this is, and the same under the lights of others, which
+    /// take turns in a fit.
+    group: LightGroup,
+    others: BTreeMap<LightGroup, Self>,
 }
 
 /// The inputs of shadows and interreflection: the light's lobes and the base materials, by entity,
@@ -103,9 +108,22 @@ impl ObjectVisibility {
         Self { settings: self.settings, texels: self.texels.clone(), ..Self::default() }
     }
 
-    /// Whether both are of the same traced surface.
-    pub(crate) fn is_traced_as(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.texels, &other.texels)
+    /// Takes up the shadows and interreflection under the light of a group as they were in its turn
+    /// before.
+    pub(crate) fn turn_to(&mut self, group: LightGroup) {
+        if group != self.group {
+            let mut others = std::mem::take(&mut self.others);
+            let next = others.remove(&group).unwrap_or_else(|| Self { group, ..self.unlit() });
+            let before = std::mem::replace(self, next);
+            others.insert(before.group, before);
+            self.others = others;
+        }
+    }
+
+    /// Forgets shadows and interreflection under all lights but the scene's own.
+    pub(crate) fn forget_turns(&mut self) {
+        self.turn_to(LightGroup::OWN);
+        self.others.clear();
     }
 
     /// Whether no texel occludes another.
@@ -141,6 +159,8 @@ impl ObjectVisibility {
         turns: &[Option<Mat3>],
         reflectance: &(dyn Fn(u32) -> Reflectance + Sync),
     ) {
+        // What has changed for one light has changed for all.
+        self.others.values_mut().for_each(|other| other.made = None);
         self.made = None;
         let (distinct, of_view) = distinct_turns(turns);
         self.sky_of_view = of_view;
@@ -336,6 +356,24 @@ mod tests {
         let mut open = [0; 9];
         mix_parts(full, [253, 1, 1, 1], &mut open);
         assert_eq!(open, [255; 9]);
+    }
+
+    #[test]
+    fn lights_that_take_turns_keep_their_own_shadows() {
+        let mut object = ObjectVisibility { stride: 16, ..ObjectVisibility::default() };
+        let other = LightGroup(1);
+        object.turn_to(other);
+        assert_eq!(object.stride, 0);
+        object.stride = 32;
+        let mut stride_of = |group: LightGroup| {
+            object.turn_to(group);
+            object.stride
+        };
+        assert_eq!([LightGroup::OWN, other, other].map(&mut stride_of), [16, 32, 32]);
+        object.forget_turns();
+        assert_eq!(object.stride, 16);
+        object.turn_to(other);
+        assert_eq!(object.stride, 0);
     }
 
     #[test]

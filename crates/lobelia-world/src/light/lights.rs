@@ -7,7 +7,7 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LobesOf`], [`LightName`], [`LightGroup`], [`LightMap`], [`LightFrame`], [`OwnLightFrame`], [`Placements`], [`PicturePlacement`] | [`IncidentLight`] |
+//! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LobesOf`], [`LightName`], [`LightGroup`], [`LightMap`], [`LightFrame`], [`OwnLightFrame`], [`Placements`], [`PicturePlacement`], [`GroupInTurn`] | [`IncidentLight`] |
 //!
 //! ```
 //! use glam::Vec3;
@@ -20,8 +20,8 @@
 //! pipeline.world.init_resource::<IncidentLight>();
 //! spawn_light(&mut pipeline.world, "lamp", &[lamp], None);
 //! let choice = LightChoice::Named("lamp".into());
-//! pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, false));
-//! pipeline.run(Phase::Frame)?;
+//! pipeline.swap(Phase::Compose, Slot::Light, provide_light(choice, false));
+//! pipeline.run(Phase::Compose)?;
 //! assert_eq!(pipeline.world.resource::<IncidentLight>().lobes.get(0).axis, [0.0, 1.0, 0.0]);
 //! # Ok::<(), lobelia_geometry::Error>(())
 //! ```
@@ -29,7 +29,9 @@
 use super::illuminate::{LobeLight, MapLight, TurnedLight};
 use super::light_frame::{LightFrame, OwnLightFrame, PictureRotation};
 use super::lobe::{LightLobe, rotate_lobes};
-use super::placement::{LightGroup, PicturePlacement, PlacedFrame, Placements, light_from_world};
+use super::placement::{
+    GroupInTurn, LightGroup, PicturePlacement, PlacedFrame, Placements, light_from_world,
+};
 use crate::pipeline::SystemResult;
 use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::ScheduleConfigs;
@@ -48,11 +50,6 @@ pub struct LightName(pub String);
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
 #[relationship(relationship_target = LobesOf)]
 pub struct LobeOf(pub Entity);
-
-/// A lobe of the scene's own light that only fills it up to as many as another light has
-/// ([`groups`](super::groups)).
-#[derive(Component, Clone, Copy, Debug, Default)]
-pub struct FillingLobe;
 
 /// The lobes of a light. They are despawned with it.
 #[derive(Component, Clone, Debug, Default, PartialEq, Eq)]
@@ -90,7 +87,7 @@ pub struct IncidentLight {
 /// The active light.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum LightChoice {
-    /// The scene's own light.
+    /// The scene's own light, or that of the [`GroupInTurn`].
     #[default]
     Own,
     /// The light with this name.
@@ -116,6 +113,7 @@ struct Lights<'w, 's> {
     own_placements: Option<Res<'w, Placements>>,
     picture: Option<Res<'w, PictureRotation>>,
     picture_placement: Option<Res<'w, PicturePlacement>>,
+    in_turn: Option<Res<'w, GroupInTurn>>,
 }
 
 impl Lights<'_, '_> {
@@ -123,7 +121,7 @@ impl Lights<'_, '_> {
     fn of(&self, choice: &LightChoice) -> Result<PlainLight> {
         let LightChoice::Named(name) = choice else {
             let frame = Some(self.own_frame.as_deref().map(|own| own.0).unwrap_or_default());
-            let group = self.picture_placement.as_deref().map(|placement| placement.light);
+            let group = self.in_turn.as_deref().map(|turn| turn.0);
             if let Some((_, lobes, map)) = self.groups.iter().find(|(of, ..)| Some(**of) == group) {
                 return Ok(self.with_lobes(lobes, map, frame));
             }
@@ -154,8 +152,7 @@ impl Lights<'_, '_> {
             let own = self.own_placements.as_deref().filter(|_| *choice == LightChoice::Own);
             return (PlacedFrame { frame, placements: own.cloned().unwrap_or_default() }, Mat3::IDENTITY);
         };
-        let placement =
-            self.picture_placement.as_deref().map_or(Mat3::IDENTITY, |placement| placement.room_from_object);
+        let placement = self.picture_placement.as_deref().map_or(Mat3::IDENTITY, |placement| placement.0);
         (PlacedFrame::default(), light_from_world(frame, picture.0, placement).transpose())
     }
 }
@@ -229,6 +226,5 @@ pub fn own_map(world: &mut World) -> Option<Arc<MapLight>> {
 
 /// The lobes of the scene's own light.
 pub fn own_lobes(world: &mut World) -> Vec<LightLobe> {
-    let mut own = world.query_filtered::<&LightLobe, (Without<LobeOf>, Without<FillingLobe>)>();
-    own.iter(world).copied().collect()
+    world.query_filtered::<&LightLobe, Without<LobeOf>>().iter(world).copied().collect()
 }

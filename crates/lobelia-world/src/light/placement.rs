@@ -82,21 +82,15 @@ impl Placements {
     }
 }
 
-/// The placement that the picture shows which is rendered; without it, that is the first.
+/// The rotation from the object's axes into those of the room in the picture that is rendered;
+/// without it, the object lies as in the first placement.
 #[derive(Resource, Clone, Copy, Debug, PartialEq)]
-pub struct PicturePlacement {
-    /// The rotation from the object's axes into those of the room.
-    pub room_from_object: Mat3,
-    /// Whose light shines, if the picture is under the scene's own.
-    pub light: LightGroup,
-}
+pub struct PicturePlacement(pub Mat3);
 
-impl PicturePlacement {
-    /// Returns the placement of a view.
-    pub fn new(placements: &Placements, placement: Placement) -> Self {
-        Self { room_from_object: placements.room_from_object(placement), light: placements.light(placement) }
-    }
-}
+/// The group whose light shines in place of the scene's own: that of the picture that is rendered,
+/// or of the step of a fit.
+#[derive(Resource, Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GroupInTurn(pub LightGroup);
 
 /// The frame of a light, and the placements of the object under it.
 #[derive(Clone, Debug, Default, PartialEq)]

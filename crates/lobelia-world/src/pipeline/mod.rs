@@ -75,6 +75,8 @@ pub enum Phase {
     FitStep,
     /// Some pixels of the training photographs, which say what is left to change of their texels.
     Detail,
+    /// The material and light that a picture shows, before its tiles.
+    Compose,
     /// One tile of a picture.
     Frame,
 }
@@ -202,7 +204,7 @@ impl Pipeline {
     /// A pipeline with an empty world and the built-in phases, without systems.
     pub fn new() -> Self {
         let mut pipeline = Self { world: World::new(), building: None, plugins: HashSet::new() };
-        for phase in [Phase::Prepare, Phase::FitStep, Phase::Detail, Phase::Frame] {
+        for phase in [Phase::Prepare, Phase::FitStep, Phase::Detail, Phase::Compose, Phase::Frame] {
             pipeline.add_phase(phase);
         }
         pipeline
