@@ -5,7 +5,7 @@
 
 use image::{Rgb, RgbImage, imageops};
 use lobelia::report::sheet::{draw_text, text_width};
-use lobelia::{codec::png_file::write_rgb8, codec::tone::srgb8, prelude::*};
+use lobelia::{codec::png_file::write_rgb8, codec::tone::srgb8, ecs::*, prelude::*};
 
 const MAP: (u32, u32) = (360, 180);
 const MARGIN: u32 = 10;

@@ -3,7 +3,7 @@
 //!
 //! `cargo run --release --example own_edit_system` writes three pictures to `out/examples`.
 
-use lobelia::prelude::*;
+use lobelia::{ecs::*, prelude::*};
 
 /// Where each texel lies.
 #[derive(Resource)]

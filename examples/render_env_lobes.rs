@@ -4,7 +4,7 @@
 //! `cargo run --release --example render_env_lobes` writes two pictures under `out/examples/`.
 
 use image::{Rgb, RgbImage};
-use lobelia::{codec::png_file::write_rgb8, codec::tone::srgb8, prelude::*};
+use lobelia::{codec::png_file::write_rgb8, codec::tone::srgb8, ecs::*, prelude::*};
 
 fn main() -> Result<()> {
     let lobe = |axis: [f32; 3], sharpness, amplitude: [f32; 3]| LightLobe {

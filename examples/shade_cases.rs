@@ -13,13 +13,13 @@
 
 use lobelia::light::illuminate::LobeLight;
 use lobelia::material::SpecularBlend;
-use lobelia::prelude::*;
 use lobelia::sg::accurate::Quality;
 use lobelia::sg::brdf::Facets;
 use lobelia::sg::published::Lobe;
 use lobelia::sg::ray::{Hit, Intersect, Ray};
 use lobelia::sg::shading::ClosedForm;
 use lobelia::shade::path_tracer::{PathPoint, PathQuery, PathScene, PathSettings, shade_point};
+use lobelia::{ecs::*, prelude::*};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 

@@ -5,7 +5,7 @@
 //! choosing a renderer are changes to the world or swaps of one system.
 //!
 //! ```
-//! use lobelia::prelude::*;
+//! use lobelia::{ecs::*, prelude::*};
 //!
 //! let surface = Arc::new(Surface::new(sphere_mesh(Vec3::ZERO, 0.8)?, 16)?);
 //! let albedo = vec![Vec3::splat(0.5); surface.atlas().position.len()];
@@ -58,7 +58,7 @@
 //!
 //! The command is the crate `lobelia-cli`; a program that uses the library needs none of it.
 //! [`bevy_ecs`] and [`glam`] are exported, so that it needs no versions of its own that match;
-//! derive macros such as `Component` work where [`prelude`] is imported.
+//! derive macros such as `Component` work where [`ecs`] is imported.
 //!
 //! # The manual
 //!
@@ -68,6 +68,7 @@
 //! guide to systems, slots and plugins of your own. The folder `examples` has short programs.
 
 pub mod capture;
+pub mod ecs;
 pub mod object;
 pub mod page;
 pub mod pass;

@@ -3,7 +3,7 @@
 
 use crate::common::{RADIUS, camera, column, day, evening, photographs_of, shoot, studio};
 use lobelia::{
-    codec::exr::read_exr_layers, material::shown::recovered_material, object::save::write_material,
+    codec::exr::read_exr_layers, ecs::*, material::shown::recovered_material, object::save::write_material,
     prelude::*,
 };
 use std::{collections::BTreeSet, ops::ControlFlow, sync::LazyLock};

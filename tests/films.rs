@@ -5,8 +5,8 @@ use crate::common::{Data, GRAY_SPHERE, Outcome, camera, command, day, files_belo
 use image::RgbImage;
 use lobelia::codec::exr_frame::{write_frame, write_frame_rows};
 use lobelia::codec::tone::{Backdrop, Picture, write_png_rows};
-use lobelia::prelude::*;
 use lobelia::shade::frame::{band_rows, frame_bytes, render_bands};
+use lobelia::{ecs::*, prelude::*};
 
 /// The film; `{}` is filled in.
 const FILM: &str = r#"Render(name: "film", render: (views: Named([]), orbit: (frames: 4, size: 48, {})))"#;

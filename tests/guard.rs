@@ -10,7 +10,7 @@ use lobelia::fit::guard::{StepGuard, check_adjoints};
 use lobelia::fit::sheen::{SheenGradient, SheenMoments};
 use lobelia::sg::shading::{Layers, PointAdjoint};
 use lobelia::shape::vertices::{MovingMesh, VertexPlugin};
-use lobelia::{fit::scale::ScaleMoments, prelude::*};
+use lobelia::{ecs::*, fit::scale::ScaleMoments, prelude::*};
 use std::ops::{ControlFlow, Range};
 
 /// Value that is made NaN in some steps of a fit.

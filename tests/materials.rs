@@ -6,7 +6,8 @@ use crate::lights::lamp;
 use lobelia::fit::detail::{DetailOptions, solve_detail};
 use lobelia::material::diffuse::{KnownAlong, write_albedo};
 use lobelia::{
-    fit::components::TexelSeen, material::edit::apply_edit, material::shown::recovered_material, prelude::*,
+    ecs::*, fit::components::TexelSeen, material::edit::apply_edit, material::shown::recovered_material,
+    prelude::*,
 };
 use std::ops::{ControlFlow, Range};
 use std::sync::LazyLock;

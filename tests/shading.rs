@@ -4,7 +4,7 @@
 use crate::common::{camera, day, evening, join, object, shoot, studio};
 use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::Vec2;
-use lobelia::prelude::*;
+use lobelia::{ecs::*, prelude::*};
 use serde_json::{Map, Value, json};
 
 #[path = "../examples/shade_cases.rs"]

@@ -2,7 +2,7 @@
 //! entities. What is unknown begins with the values that a fit starts from.
 //!
 //! ```
-//! use lobelia::prelude::*;
+//! use lobelia::{ecs::*, prelude::*};
 //! use lobelia::scene::{LoadOptions, load};
 //! use lobelia::spawn::{SurfaceUse, make_surface, spawn};
 //!

@@ -8,7 +8,7 @@ use lobelia::codec::npy::{NpyConvention, write_lobes};
 use lobelia::object::progress::{Bar, Progress, Silent};
 use lobelia::pass::{self, RunOptions};
 use lobelia::scene::{LoadOptions, load};
-use lobelia::{codec::gltf::export::write_glb, prelude::*};
+use lobelia::{codec::gltf::export::write_glb, ecs::*, prelude::*};
 use serde_json::{Map, Value, json};
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};

@@ -1,0 +1,57 @@
+//! Names for systems, slots and components of one's own, beside those of [`prelude`](crate::prelude)
+//! and of bevy's own prelude.
+//!
+//! | group | names |
+//! | --- | --- |
+//! | the pipeline | [`Pipeline`], [`Plugin`], [`Phase`], [`Stage`], [`Slot`], [`GatherPoints`], [`ScatterAdjoints`], [`SystemResult`] |
+//! | pools | [`Texels`], [`Samples`], [`TexelIndex`], [`SampleIndex`], [`Observation`], [`ObservationIndex`], [`read_column`], [`write_column`] |
+//! | views | [`ViewIndex`], [`Photograph`], [`StoredMask`], [`Image`], [`Mask`], [`spawn_views`] |
+//! | lights in a world | [`spawn_light`], [`provide_light`], [`LightChoice`], [`LightName`], [`LobeOf`], [`MapLight`], [`MapConvention`], [`render_lobes`], [`fit_map`], [`MapFit`] |
+//! | material in a world | [`SpecularBlend`], [`BaseMaterial`], [`Shown`], [`show_recovered`], [`show_edited`], [`Composition`], [`recovered_changed`], [`frame_material`] |
+//! | edits | [`EditName`], [`EditOrder`], [`EditTarget`], [`EditAction`], [`EditRegion`] |
+//! | rendering | [`spawn_object`], [`FramePlugin`], [`render_frame`], [`resolve`] |
+//! | shading | [`shade_closed_form`], [`ClosedForm`], [`Quality`], [`shade_path_traced`], [`PathTracing`] |
+//! | shadows and interreflection | [`FrameVisibilityPlugin`], [`ObjectVisibility`], [`VisibilitySettings`] |
+//! | fitting | [`FitPlugin`], [`run_fit`], [`FitOptions`], [`Unknowns`], [`Initialize`], [`FitProgress`], [`FitSummary`] |
+//!
+//! ```
+//! use lobelia::{ecs::*, prelude::*};
+//!
+//! let surface = Arc::new(Surface::new(sphere_mesh(Vec3::ZERO, 0.8)?, 16)?);
+//! let mut pipeline = Pipeline::new();
+//! pipeline.add_plugin(&FramePlugin);
+//! let albedo = vec![Vec3::splat(0.5); surface.atlas().position.len()];
+//! let lamp = LightLobe { axis: Vec3::Y, sharpness: 4.0, amplitude: Vec3::ONE };
+//! spawn_object(&mut pipeline.world, &surface, &albedo, &[SpecularLobe::new(Vec3::splat(0.04), 0.5)], &[lamp]);
+//! let camera = Camera::look_at(Vec3::new(0.0, 1.0, 3.0), Vec3::ZERO, Vec3::Y, 38.0, 16, 16)?;
+//! let frame = resolve(&render_frame(&mut pipeline, camera, 1)?);
+//! assert!(frame.color.iter().any(|c| c.y > 0.1));
+//! # Ok::<(), lobelia::Error>(())
+//! ```
+
+// Bevy's prelude has another.
+pub use lobelia_geometry::Result;
+pub use lobelia_geometry::view::{Image, Mask, Photograph, StoredMask, ViewIndex, spawn_views};
+pub use lobelia_sg::{accurate::Quality, shading::ClosedForm};
+pub use lobelia_solve::fit::components::Unknowns;
+pub use lobelia_solve::fit::run::{FitOptions, FitPlugin, FitProgress, FitSummary, Initialize, run_fit};
+pub use lobelia_solve::shade::frame::{FramePlugin, frame_material, render_frame, resolve};
+pub use lobelia_solve::shade::{PathTracing, shade_closed_form, shade_path_traced};
+pub use lobelia_solve::visibility::{FrameVisibilityPlugin, ObjectVisibility, VisibilitySettings};
+pub use lobelia_world::light::lights::{LightChoice, LightName, LobeOf, provide_light, spawn_light};
+pub use lobelia_world::light::map_fit::{MapFit, fit_map};
+pub use lobelia_world::light::{convention::MapConvention, illuminate::MapLight, render_lobes};
+pub use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget};
+pub use lobelia_world::material::shown::{Composition, recovered_changed, show_edited, show_recovered};
+pub use lobelia_world::material::{BaseMaterial, Shown, SpecularBlend, TexelIndex, Texels};
+pub use lobelia_world::pipeline::pool::{read_column, write_column};
+pub use lobelia_world::pipeline::{
+    GatherPoints, Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage, SystemResult,
+};
+pub use lobelia_world::sample::pixel::SampleIndex;
+pub use lobelia_world::sample::{Observation, ObservationIndex, Samples, spawn_object};
+
+// The derive macros of bevy_ecs look for a crate or module of that name.
+pub use bevy_ecs;
+pub use bevy_ecs::prelude::*;
+pub use bevy_ecs::schedule::ScheduleLabel;
