@@ -1,6 +1,6 @@
 //! One world, two ways to shade it: a box on a slab in closed form, then path traced, by a swap of
-//! one system. Only the second picture has the box's shadow: the closed form gets it from a
-//! capability of its own, `FrameVisibilityPlugin`.
+//! one system. Only the second picture has the box's shadow: the closed form gets it from a system
+//! in a slot of its own, `see_material`.
 //!
 //! `cargo run --release --example swap_shading` writes two pictures under `out/examples/`.
 

@@ -14,7 +14,7 @@
 //! | edits | [`EditName`], [`EditOrder`], [`EditTarget`], [`EditAction`], [`EditRegion`] |
 //! | rendering | [`spawn_object`], [`FramePlugin`], [`render_frame`], [`resolve`], [`Frame`], [`save_png`], [`Look`] |
 //! | shading | [`shade_closed_form`], [`ClosedForm`], [`Quality`], [`shade_path_traced`], [`PathTracing`] |
-//! | shadows and interreflection | [`FrameVisibilityPlugin`], [`ObjectVisibility`], [`VisibilitySettings`] |
+//! | shadows and interreflection | [`see_material`], [`ShownMaterial`], [`see_material_of_step`], [`ObjectVisibility`], [`VisibilitySettings`] |
 //! | fitting | [`spawn_views`], [`FitPlugin`], [`run_fit`], [`FitOptions`], [`Unknowns`], [`Initialize`], [`FitProgress`], [`FitSummary`] |
 //! | from other crates | the prelude of [`bevy_ecs`], [`ScheduleLabel`], [`Vec3`], [`Arc`] |
 //!
@@ -71,7 +71,9 @@ pub use lobelia_sg::accurate::Quality;
 pub use lobelia_sg::shading::ClosedForm;
 pub use lobelia_solve::shade::frame::{FramePlugin, frame_material, render_frame, resolve};
 pub use lobelia_solve::shade::{PathTracing, shade_closed_form, shade_path_traced};
-pub use lobelia_solve::visibility::{FrameVisibilityPlugin, ObjectVisibility, VisibilitySettings};
+pub use lobelia_solve::visibility::{ObjectVisibility, VisibilitySettings};
+pub use lobelia_solve::visibility::{see_material, see_material_of_step};
+pub use lobelia_world::material::material_source::ShownMaterial;
 pub use lobelia_world::sample::spawn_object;
 
 // Fitting.

@@ -5,7 +5,7 @@ use crate::common::{RADIUS, camera, column, day, evening, photographs_of, shoot,
 use lobelia::{
     codec::exr::read_exr_layers, material::shown::recovered_material, pass::save::write_material, prelude::*,
 };
-use std::{collections::BTreeSet, ops::ControlFlow, sync::LazyLock};
+use std::{ops::ControlFlow, sync::LazyLock};
 
 #[derive(Component)]
 struct Marked;
@@ -169,7 +169,7 @@ fn shadows_are_computed_again_when_light_or_material_change_and_only_then() {
     let mut pipeline = studio(&day());
     pipeline.world.insert_resource(ObjectVisibility::new(&surface, VisibilitySettings::default()));
     pipeline.world.init_resource::<Refreshes>();
-    pipeline.add_plugin(&FrameVisibilityPlugin);
+    pipeline.swap(Phase::Frame, Slot::Visibility, see_material::<ShownMaterial>());
     pipeline.add_systems(Phase::Frame, Stage::Gather, count_refreshes.after(Slot::Visibility));
     let refreshes = |pipeline: &mut Pipeline| {
         shoot(pipeline, front());
@@ -265,38 +265,6 @@ fn rendering_and_fitting_that_are_added_twice_do_all_once() {
     twice.add_plugin(&FramePlugin);
     assert_eq!(shoot(&mut twice, front()), by_day());
     assert_eq!(found(fitted(|pipeline| _ = pipeline.add_plugin(&FitPlugin))), *PLAIN);
-}
-
-/// The names of all resources, and of all components of texels, lobes and base materials.
-fn names(world: &mut World) -> BTreeSet<String> {
-    let resources = world.iter_resources().map(|(_, info, _)| info.name().to_string());
-    let mut names: BTreeSet<String> = resources.collect();
-    type Selected = Or<(With<TexelIndex>, With<LightLobe>, With<SpecularLobe>)>;
-    let selected: Vec<Entity> = world.query_filtered::<Entity, Selected>().iter(world).collect();
-    for entity in selected {
-        names.extend(world.inspect_entity(entity).unwrap().map(|(_, info)| info.name().to_string()));
-    }
-    names
-}
-
-#[test]
-fn a_fit_that_is_removed_leaves_what_it_found_and_nothing_else() {
-    let mut pipeline = studio(&LightLobe::even(16));
-    let views = photographs_of(&mut studio(&day()), 8, 24, |_, _| {});
-    spawn_views(&mut pipeline.world, views);
-    let before = names(&mut pipeline.world);
-    let options = FitOptions { steps: 3, batch: 256, looks_for_sheen: true, ..FitOptions::default() };
-    for _ in 0..2 {
-        pipeline.add_plugin(&FitPlugin);
-        let fitted = run_fit(&mut pipeline, &options, &mut |_, _| ControlFlow::Continue(())).unwrap();
-        assert_eq!(fitted.steps, 3);
-        pipeline.remove_plugin::<FitPlugin>();
-        let after = names(&mut pipeline.world);
-        let left: BTreeSet<_> = after.difference(&before).filter_map(|of| of.rsplit("::").next()).collect();
-        // The list of what checkpoints keep, the frame that was found, and the empty shadows that
-        // frames use too.
-        assert_eq!(left, BTreeSet::from(["Kept", "OwnLightFrame", "WindowVisibility"]));
-    }
 }
 
 #[test]

@@ -10,12 +10,13 @@ use lobelia_geometry::{error::Result, mesh::Surface, mesh::atlas::TexelAtlas, vi
 use lobelia_io::codec::texture::{read_texture, read_texture_mask};
 use lobelia_sg::shading::ClosedForm;
 use lobelia_solve::shade::{PathTracing, frame::frame_material, shade_closed_form, shade_path_traced};
-use lobelia_solve::visibility::FrameVisibilityPlugin;
+use lobelia_solve::visibility::see_material;
 use lobelia_world::light::lights::{LightChoice, provide_light, spawn_light};
 use lobelia_world::light::placement::{PicturePlacement, Placements};
 use lobelia_world::material::edit::{
     EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit,
 };
+use lobelia_world::material::material_source::ShownMaterial;
 use lobelia_world::material::shown::{recovered_material, show_edited, show_recovered};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 
@@ -28,11 +29,12 @@ pub(crate) fn show(session: &mut Session, pass: &Pass, settings: &RenderSettings
     let (choice, by_map) = chosen_light(session, pass, settings.shading);
     session.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
     set_shading(&mut session.pipeline, settings, session.scene.seed);
-    session.pipeline.remove_plugin::<FrameVisibilityPlugin>();
     // The published formulas are for comparison and include neither shadows nor interreflection;
     // path tracing includes both itself.
-    if settings.shading == Shading::Accurate && session.has_visibility()? {
-        session.pipeline.add_plugin(&FrameVisibilityPlugin);
+    let has_shadows = settings.shading == Shading::Accurate && session.has_visibility()?;
+    session.pipeline.clear(Phase::Frame, Slot::Visibility);
+    if has_shadows {
+        session.pipeline.swap(Phase::Frame, Slot::Visibility, see_material::<ShownMaterial>());
     }
     Ok(())
 }
@@ -67,7 +69,7 @@ pub(crate) fn material_of(session: &mut Session, of: Option<&str>) -> Result<Mat
     };
     show_material(session, pass)?;
     // What is written needs no shadows; a pass that renders puts them back.
-    session.pipeline.remove_plugin::<FrameVisibilityPlugin>();
+    session.pipeline.clear(Phase::Frame, Slot::Visibility);
     frame_material(&mut session.pipeline)
 }
 

@@ -35,11 +35,11 @@ use glam::Vec3;
 use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_stopping};
 use lobelia_sg::{accurate::Quality, brdf::Ndf, shading::ClosedForm};
 use lobelia_solve::fit::{
-    cameras::CameraPlugin, cameras::CameraUnknowns, groups::forget_group_shadows, groups::forget_visibility,
-    guard::check_numbers, guard::check_parameters, roughness::TexelPlaces, run::Done, run::EARLY,
-    run::FitOptions, run::FitProgress, run::FitSummary, run::Initialize, run::may_pause, run::run_fit,
+    cameras::CameraUnknowns, groups::forget_group_shadows, groups::forget_visibility, guard::check_numbers,
+    guard::check_parameters, roughness::TexelPlaces, run::Done, run::EARLY, run::FitOptions,
+    run::FitProgress, run::FitSummary, run::Initialize, run::may_pause, run::run_fit,
 };
-use lobelia_solve::shape::{run::training_silhouettes, vertices::MovingMesh, vertices::VertexPlugin};
+use lobelia_solve::shape::{run::training_silhouettes, vertices::MovingMesh};
 use lobelia_solve::{fit::observe::PixelChoice, visibility::ObjectVisibility};
 use lobelia_world::light::{LightLobe, groups::FittedLobe, light_frame::OwnLightFrame};
 use lobelia_world::material::{
@@ -434,17 +434,14 @@ fn take_steps(
     let place = |(at, covered): (&Vec3, &bool)| if *covered { *at } else { Vec3::NAN };
     let positions = atlas.position.iter().zip(&atlas.covered).map(place).collect();
     session.pipeline.world.insert_resource(TexelPlaces { positions, progress: 0.0 });
-    // The systems that optimize cameras and vertices, if the pass enables them.
     let moves_cameras = pass.cameras != CameraUnknowns::Given;
     let moves_vertices = pass.vertices && !session.kept.normals_found && !session.kept.by_stereo;
-    if moves_cameras {
-        session.pipeline.add_plugin(&CameraPlugin(pass.cameras));
-    }
+    let world = &mut session.pipeline.world;
+    world.insert_resource(pass.cameras);
     if moves_vertices {
-        let (surface, steps) = (session.surface.clone(), pass.steps);
         // Silhouettes are seen by the cameras as they are now.
-        let seen = if moves_cameras { Vec::new() } else { training_silhouettes(&mut session.pipeline.world) };
-        session.pipeline.add_plugin(&VertexPlugin { surface, steps, silhouettes: seen.into() });
+        let seen = if moves_cameras { Vec::new() } else { training_silhouettes(world) };
+        world.insert_resource(MovingMesh::new(session.surface.clone(), pass.steps, seen));
     }
     let is_still = !moves_cameras && !moves_vertices;
     let (mut error, mut psnr, mut ended) = (0.0, 0.0, Ended::Done);
@@ -466,9 +463,8 @@ fn take_steps(
         }
         if ended != Ended::Done || is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
-    session.pipeline.remove_plugin::<CameraPlugin>();
-    let moved = session.pipeline.world.get_resource::<MovingMesh>().map(|mesh| mesh.surface.clone());
-    session.pipeline.remove_plugin::<VertexPlugin>();
+    session.pipeline.world.remove_resource::<CameraUnknowns>();
+    let moved = session.pipeline.world.remove_resource::<MovingMesh>().map(|mesh| mesh.surface);
     if let Some(moved) = moved.filter(|moved| !Arc::ptr_eq(moved, &session.surface)) {
         (session.surface, session.surface_found) = (moved, true);
         // Visibility of the changed mesh is traced again when it is needed.

@@ -10,6 +10,7 @@ use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
 use lobelia_geometry::{mesh::Surface, view::ViewRecord};
 use lobelia_solve::fit::run::{Done, FitPlugin, FitSummary, Initialize};
 use lobelia_solve::fit::{FramesTried, components::Unknowns, guard::StepGuard};
+use lobelia_solve::shape::run::GeometryPlugin;
 use lobelia_solve::{
     shade::frame::FramePlugin, visibility::ObjectVisibility, visibility::VisibilitySettings,
 };
@@ -143,7 +144,7 @@ impl<'a> Session<'a> {
             watched: Watched::default(),
             report: Reporter::default(),
         };
-        session.pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
+        session.pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin).add_plugin(&GeometryPlugin);
         if let Some(device) = &options.device {
             session.pipeline.world.insert_resource(device.clone());
         }

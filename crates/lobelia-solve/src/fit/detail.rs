@@ -25,7 +25,7 @@ use crate::fit::observe::{observed_in, spawn_samples, usable_by_view, usable_pix
 use crate::fit::{components::TexelSeen, exposure::Exposures, metal::Metals};
 use crate::shade::frame::{add_gathering, add_material_resources, trace_samples};
 use crate::shade::shade_closed_form;
-use crate::visibility::{WindowVisibility, see_material};
+use crate::visibility::see_material;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World};
 use glam::{Mat2, Mat3, Vec2, Vec3};
 use half::f16;
@@ -82,12 +82,11 @@ pub struct DetailOptions {
 }
 
 /// The systems of [`Phase::Detail`].
-pub struct DetailPlugin(pub DetailOptions);
+pub struct DetailPlugin;
 
 impl Plugin for DetailPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline.world.init_resource::<DetailPixels>();
-        pipeline.world.init_resource::<Exposures>();
         add_material_resources::<RecoveredMaterial>(&mut pipeline.world);
         add_gathering::<RecoveredMaterial>(pipeline, Phase::Detail);
         pipeline
@@ -95,17 +94,7 @@ impl Plugin for DetailPlugin {
             .add_systems(Phase::Detail, Stage::Trace, trace_samples)
             .add_systems(Phase::Detail, Stage::Gather, whiten_points.after(GatherPoints))
             .swap(Phase::Detail, Slot::Light, provide_light(LightChoice::Own, false))
-            .swap(Phase::Detail, Slot::Shading, shade_closed_form(self.0.form))
             .add_systems(Phase::Detail, Stage::Gradient, keep_pixels);
-        pipeline.world.insert_resource(WindowVisibility::default());
-        if self.0.visibility {
-            pipeline.swap(Phase::Detail, Slot::Visibility, see_material::<RecoveredMaterial>());
-        }
-    }
-
-    fn cleanup(world: &mut World) {
-        world.remove_resource::<DetailPixels>();
-        world.insert_resource(WindowVisibility::default());
     }
 }
 
@@ -128,12 +117,15 @@ pub fn solve_detail(
     options: DetailOptions,
     watch: &mut dyn FnMut(f32),
 ) -> Result<()> {
-    pipeline.add_plugin(&DetailPlugin(options));
+    pipeline.swap(Phase::Detail, Slot::Shading, shade_closed_form(options.form));
+    pipeline.clear(Phase::Detail, Slot::Visibility);
+    if options.visibility {
+        pipeline.swap(Phase::Detail, Slot::Visibility, see_material::<RecoveredMaterial>());
+    }
     spawn_samples(&mut pipeline.world, BATCH);
     let shaded = shade_pixels(pipeline, &mut |part| watch(SHADING_PART * part));
-    let pixels = std::mem::take(&mut pipeline.world.resource_mut::<DetailPixels>().kept);
+    let pixels = std::mem::take(&mut *pipeline.world.resource_mut::<DetailPixels>()).kept;
     despawn_pool(&mut pipeline.world);
-    pipeline.remove_plugin::<DetailPlugin>();
     shaded?;
     let _sweeping = info_span!("sweeps").entered();
     for number in 0..SWEEPS {

@@ -3,7 +3,7 @@
 //! Rates fall at the milestones, and before the first one a step visits fewer pixels. While rates
 //! are high the noise of few pixels does no harm; later it would stay in the albedo.
 
-use crate::fit::cameras::{CameraFit, CameraPose};
+use crate::fit::cameras::{CameraFit, CameraPose, attach_poses, cameras_move};
 use crate::fit::components::{
     AlbedoGradient, AlbedoMoments, LobeMoments, LossState, SpecularMoments, StepGradient, StepRates,
     TexelSeen, Unknowns,
@@ -18,7 +18,10 @@ use crate::fit::loss::{Loss, LossSums, ViewSums, count_pool, sum_by_view};
 use crate::fit::observe::{
     PixelChoice, make_pool, release_pool, spawn_samples, take_observations, trace_pixels,
 };
-use crate::fit::placements::{PlacementPlugin, TurnSums, find_placements, placements_turn};
+use crate::fit::placements::{
+    TurnSums, find_placements, placements_turn, sum_turns, turn_placements, turns_are_summed,
+};
+use crate::fit::priors::{NormalWeight, follow_maps, pull_to_normal_maps};
 use crate::fit::roughness::{
     BlendGradient, BlendMoments, RoughnessMoments, TexelPlaces, TexelRoughness, move_blends, move_roughness,
     scatter_to_blends, tie_specular,
@@ -32,11 +35,13 @@ use crate::fit::start::{FramesTried, find_start};
 use crate::fit::systems::{
     compare_with_photographs, move_lobes, move_specular, move_texels, pull_back_radiance, scatter_to_texels,
 };
-use crate::fit::{metal::bound_diffuse_albedo, priors::follow_maps};
+use crate::fit::{detail::DetailPlugin, metal::bound_diffuse_albedo};
 use crate::shade::frame::{add_gathering, add_material_resources};
-use crate::visibility::{ObjectVisibility, RefreshDue, WindowVisibility, see_material_of_step};
+use crate::visibility::{ObjectVisibility, RefreshDue, see_material_of_step};
 use crate::{fit::initialization::initialize_light_and_albedo, shade::shade_closed_form};
-use bevy_ecs::prelude::{Entity, IntoScheduleConfigs, Resource, With, World};
+use bevy_ecs::prelude::{
+    Entity, IntoScheduleConfigs, Resource, SystemCondition, With, World, resource_exists,
+};
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
 use bevy_ecs::{prelude::Bundle, query::QueryFilter};
@@ -50,14 +55,14 @@ use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::light::lights::{LightChoice, provide_light};
 use lobelia_world::light::placement::Placements;
 use lobelia_world::light::{groups::FittedLobe, lobes_in_use};
-use lobelia_world::material::material_source::{PlainBlends, RecoveredMaterial};
+use lobelia_world::material::material_source::RecoveredMaterial;
 use lobelia_world::material::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
 };
 use lobelia_world::material::{first_material, texels_in_order, tilt::has_tilt};
 use lobelia_world::pipeline::pool::read_column;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage};
-use lobelia_world::pipeline::{ScatterAdjoints, pool::write_column};
+use lobelia_world::pipeline::pool::write_column;
+use lobelia_world::pipeline::{FitForm, Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
 use lobelia_world::sample::{ObservedWindow, despawn_pool, pixel::Window};
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
@@ -229,71 +234,45 @@ pub struct FitPlugin;
 
 impl Plugin for FitPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
-        OWN_RESOURCES.iter().for_each(|own| own(&mut pipeline.world, true));
-        add_material_resources::<RecoveredMaterial>(&mut pipeline.world);
-        pipeline.add_systems(Phase::Prepare, Stage::Trace, trace_pixels);
+        let world = &mut pipeline.world;
+        world.init_resource::<ObservedWindow>();
+        world.init_resource::<StepGradient>();
+        world.init_resource::<TexelPlaces>();
+        world.init_resource::<ScaleMoments>();
+        world.init_resource::<TurnSums>();
+        world.init_resource::<Exposures>();
+        world.init_resource::<StepGuard>();
+        world.init_resource::<ViewSums>();
+        world.init_resource::<RecentSums>();
+        keep_state(world);
+        add_material_resources::<RecoveredMaterial>(world);
+        add_gathering::<RecoveredMaterial>(pipeline, Phase::FitStep);
         let exposures = find_exposures.run_if(step_is_sound);
         let residuals = (note_residuals, sum_by_view).chain().run_if(step_is_sound);
         let loss = (check_shading, exposures, compare_with_photographs, check_loss, residuals);
         let scatter = (scatter_to_texels, scatter_to_sheen, scatter_to_blends);
-        let check = check_adjoints.after(Slot::ShadingAdjoint).before(ScatterAdjoints);
+        // After a bad value all adjoints are zero, and are to remain so.
+        let pull = pull_to_normal_maps.run_if(resource_exists::<NormalWeight>.and_then(step_is_sound));
+        let adjoints = (check_adjoints, pull).chain().after(Slot::ShadingAdjoint).before(ScatterAdjoints);
         // A run replaces the systems that shade by those of its closed form.
         pipeline
+            .add_systems(Phase::Prepare, Stage::Trace, trace_pixels)
             .add_systems(Phase::FitStep, Stage::Sample, take_observations)
             .swap(Phase::FitStep, Slot::Light, provide_light(LightChoice::Own, false))
             .swap(Phase::FitStep, Slot::Shading, shade_closed_form(ClosedForm::default()))
             .swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(ClosedForm::default()))
             .add_systems(Phase::FitStep, Stage::Loss, loss.chain())
+            .add_systems(Phase::FitStep, Stage::Gradient, adjoints)
             .add_systems(Phase::FitStep, Stage::Gradient, scatter.chain().in_set(ScatterAdjoints))
+            .add_systems(Phase::FitStep, Stage::Gradient, sum_turns.run_if(turns_are_summed))
             .swap(Phase::FitStep, Slot::Optimizer, optimizer())
             .add_systems(Phase::FitStep, Stage::Update, follow_known.after(Slot::Optimizer))
-            .add_systems(Phase::FitStep, Stage::Gradient, check);
+            .add_systems(Phase::FitStep, Stage::Update, turn_placements.run_if(placements_turn))
+            .add_plugin(&DetailPlugin);
         // Also what other plugins put into these stages is left out, shapes and cameras.
         for stage in [Stage::Gradient, Stage::Update] {
             pipeline.configure_sets(Phase::FitStep, stage.run_if(step_is_sound));
         }
-        add_gathering::<RecoveredMaterial>(pipeline, Phase::FitStep);
-        keep_state(&mut pipeline.world);
-    }
-
-    fn cleanup(world: &mut World) {
-        OWN_RESOURCES.iter().for_each(|own| own(world, false));
-        world.remove_resource::<PlainBlends<RecoveredMaterial>>();
-        // Those of a run.
-        world.remove_resource::<LossState>();
-        world.remove_resource::<StepRates>();
-        world.remove_resource::<Unknowns>();
-        world.remove_resource::<PixelChoice>();
-        world.remove_resource::<ScaleRule>();
-        world.remove_resource::<RefreshDue>();
-        world.remove_resource::<FramesTried>();
-        world.remove_resource::<SheenEvidence>();
-        type OfTexel = (AlbedoGradient, TexelSeen, SheenGradient, BlendGradient);
-        remove_from::<With<TexelIndex>, (OfTexel, AlbedoMoments, SheenMoments, BlendMoments)>(world);
-        remove_from::<With<LightLobe>, LobeMoments>(world);
-        remove_from::<With<SpecularLobe>, SpecularMoments>(world);
-    }
-}
-
-/// Resources that the plugin brings.
-const OWN_RESOURCES: [fn(&mut World, bool); 9] = [
-    own::<ObservedWindow>,
-    own::<StepGradient>,
-    own::<TexelPlaces>,
-    own::<ScaleMoments>,
-    own::<TurnSums>,
-    own::<Exposures>,
-    own::<StepGuard>,
-    own::<ViewSums>,
-    own::<RecentSums>,
-];
-
-/// Gives the world a resource, or takes it away.
-fn own<R: Resource + Default>(world: &mut World, is_there: bool) {
-    if is_there {
-        world.init_resource::<R>();
-    } else {
-        world.remove_resource::<R>();
     }
 }
 
@@ -330,10 +309,6 @@ fn fit(
     let start = Instant::now();
     let pixels = prepare(pipeline, options)?;
     let _steps = info_span!("steps").entered();
-    pipeline.remove_plugin::<PlacementPlugin>();
-    if placements_turn(&pipeline.world) {
-        pipeline.add_plugin(&PlacementPlugin(options.form));
-    }
     let (done, before) = (options.done.steps, options.done.secs);
     let elapsed = || before + start.elapsed().as_secs_f64();
     let mut summary = FitSummary { steps: done, pixels, elapsed_secs: before, ..FitSummary::default() };
@@ -402,6 +377,9 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     let _preparing = info_span!("prepared").entered();
     let world = &mut pipeline.world;
     let begins = options.done.steps == 0;
+    if cameras_move(world) {
+        attach_poses(world);
+    }
     attach(world, options.unknowns.sheen || (options.looks_for_sheen && options.unknowns.albedo), begins);
     world.insert_resource(options.pixels);
     world.insert_resource(options.unknowns);
@@ -423,13 +401,13 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
         world.resource_mut::<Exposures>().begin(options.exposure, lights);
     }
     world.insert_resource(options.scale);
+    world.insert_resource(FitForm(options.form));
     world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
     pipeline.swap(Phase::FitStep, Slot::Shading, shade_closed_form(options.form));
     pipeline.swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(options.form));
     let pixels = make_pool(pipeline)?;
     let shadowed = options.visibility && pipeline.world.contains_resource::<ObjectVisibility>();
     pipeline.clear(Phase::FitStep, Slot::Visibility);
-    pipeline.world.insert_resource(WindowVisibility::default());
     if shadowed {
         pipeline.swap(Phase::FitStep, Slot::Visibility, see_material_of_step());
     }
