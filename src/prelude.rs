@@ -3,7 +3,7 @@
 //! | group | names |
 //! | --- | --- |
 //! | results | [`Result`], [`Error`], [`SystemResult`] |
-//! | the pipeline | [`Pipeline`], [`Plugin`], [`Phase`], [`Stage`], [`Slot`], [`GatherPoints`], [`ScatterAdjoints`] |
+//! | the pipeline | [`Pipeline`], [`Plugin`], [`Phase`], [`Stage`], [`Slot`], [`GatherPoints`], [`ScatterAdjoints`], [`Shader`] |
 //! | pools | [`Texels`], [`Samples`], [`TexelIndex`], [`SampleIndex`], [`Observation`], [`ObservationIndex`], [`read_column`], [`write_column`] |
 //! | surfaces | [`Surface`], [`Mesh`], [`sphere_mesh`], [`box_mesh`] |
 //! | views | [`Camera`], [`ViewRecord`], [`ViewIndex`], [`Photograph`], [`StoredMask`], [`Image`], [`Mask`], [`Split`] |
@@ -13,7 +13,7 @@
 //! | shown material | [`Shown`], [`show_recovered`], [`show_edited`], [`Composition`], [`recovered_changed`], [`frame_material`] |
 //! | edits | [`EditName`], [`EditOrder`], [`EditTarget`], [`EditAction`], [`EditRegion`] |
 //! | rendering | [`spawn_object`], [`FramePlugin`], [`render_frame`], [`resolve`], [`Frame`], [`save_png`], [`Look`] |
-//! | shading | [`shade_closed_form`], [`ClosedForm`], [`Quality`], [`shade_path_traced`], [`PathTracing`] |
+//! | shading | [`shade_closed_form`], [`ClosedForm`], [`Quality`], [`shade_path_traced`], [`PathTracing`], [`closed_form_shader`] |
 //! | shadows and interreflection | [`see_material`], [`ShownMaterial`], [`see_material_of_step`], [`ObjectVisibility`], [`VisibilitySettings`] |
 //! | fitting | [`spawn_views`], [`FitPlugin`], [`run_fit`], [`FitOptions`], [`Unknowns`], [`Initialize`], [`FitProgress`], [`FitSummary`] |
 //! | from other crates | the prelude of [`bevy_ecs`], [`ScheduleLabel`], [`Vec3`], [`Arc`] |
@@ -40,7 +40,9 @@ pub use lobelia_world::pipeline::SystemResult;
 // The pipeline and its pools.
 pub use lobelia_world::material::{TexelIndex, Texels};
 pub use lobelia_world::pipeline::pool::{read_column, write_column};
-pub use lobelia_world::pipeline::{GatherPoints, Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
+pub use lobelia_world::pipeline::{
+    GatherPoints, Phase, Pipeline, Plugin, ScatterAdjoints, Shader, Slot, Stage,
+};
 pub use lobelia_world::sample::pixel::SampleIndex;
 pub use lobelia_world::sample::{Observation, ObservationIndex, Samples};
 
@@ -69,6 +71,7 @@ pub use lobelia_geometry::view::Frame;
 pub use lobelia_io::codec::tone::{Look, save_png};
 pub use lobelia_sg::accurate::Quality;
 pub use lobelia_sg::shading::ClosedForm;
+pub use lobelia_solve::fit::systems::closed_form_shader;
 pub use lobelia_solve::shade::frame::{FramePlugin, frame_material, render_frame, resolve};
 pub use lobelia_solve::shade::{PathTracing, shade_closed_form, shade_path_traced};
 pub use lobelia_solve::visibility::{ObjectVisibility, VisibilitySettings};

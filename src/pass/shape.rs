@@ -1,7 +1,7 @@
 //! The `Shape` pass: recovers an unknown surface from photographs and masks, and replaces the
 //! visual hull by it.
 
-use crate::pass::{fit::steps::closed_form, fit::write_views, run::session::Session};
+use crate::pass::{fit::steps::shader, fit::write_views, run::session::Session};
 use crate::scene::{GridLevel, ShapePass, Surface as SurfaceSpec};
 use crate::{pass::run::progress::Moment, pass::run::progress::Progress, spawn::insert_known_along};
 use bevy_ecs::prelude::World;
@@ -24,6 +24,7 @@ use lobelia_solve::shape::{
     run::refine_by_stereo, run::replace_texels, run::training_silhouettes, stereo::rounds as stereo_rounds,
 };
 use lobelia_solve::{fit::components::Unknowns, shape::hull::extract_parts, shape::systems::ShapeSchedule};
+use lobelia_world::pipeline::{Phase, Slot};
 use lobelia_world::{material::recovered_albedo, sample::point::Scenery};
 use std::{ops::ControlFlow, path::Path, sync::Arc, time::Instant};
 use tracing::info_span;
@@ -127,7 +128,6 @@ fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
         levels: pass.levels.iter().map(level).collect(),
         fit: FitOptions {
             loss: pass.loss,
-            form: closed_form(pass.shading, Quality::Default),
             batch: pass.batch as usize,
             rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
             milestones: vec![0.6, 0.85],
@@ -147,6 +147,9 @@ fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
         hollows: pass.hollows && matches!(pass.exposure, ExposureChoice::Auto | ExposureChoice::Equal),
         spans_unseen: pass.spans_unseen,
     };
+    session.pipeline.set_shader(Phase::FitStep, shader(pass.shading, Quality::Default));
+    // Shadows would have to be traced at every step.
+    session.pipeline.clear(Phase::FitStep, Slot::Visibility);
     // How many levels there are is known once the hull is.
     let bar = session.progress.bar(&pass.name, 0);
     bar.set_message("hull".into());

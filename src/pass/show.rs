@@ -31,12 +31,7 @@ pub(crate) fn show(session: &mut Session, pass: &Pass, settings: &RenderSettings
     set_shading(&mut session.pipeline, settings, session.scene.seed);
     // The published formulas are for comparison and include neither shadows nor interreflection;
     // path tracing includes both itself.
-    let has_shadows = settings.shading == Shading::Accurate && session.has_visibility()?;
-    session.pipeline.clear(Phase::Frame, Slot::Visibility);
-    if has_shadows {
-        session.pipeline.swap(Phase::Frame, Slot::Visibility, see_material::<ShownMaterial>());
-    }
-    Ok(())
+    session.set_shadows(Phase::Frame, settings.shading == Shading::Accurate, see_material::<ShownMaterial>())
 }
 
 /// Swaps in the system that shows the recovered material with the edits of a pass.

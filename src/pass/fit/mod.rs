@@ -9,7 +9,7 @@ pub(crate) mod steps;
 use crate::pass::save::{RGB, vector_channels, weight_channels, write_layers};
 use crate::pass::view_report::{csv_entry, note_fit};
 use crate::report::scores::ScaleFound;
-use crate::scene::{FitPass, Gloss, Tilt, Views};
+use crate::scene::{FitPass, FitShading, Gloss, Tilt, Views};
 use crate::{pass::export::carried_blends, pass::run::session::Session, spawn::initial_specular};
 use bevy_ecs::prelude::{With, World};
 use glam::{Vec2, Vec3, Vec3A};
@@ -29,9 +29,11 @@ use lobelia_solve::fit::roughness::{RoughnessPrior, TexelRoughness, attach_rough
 use lobelia_solve::fit::run::{FitOptions, FitSummary, Initialize, optimizer_of_texel_roughness};
 use lobelia_solve::fit::scale::{ScaleRule, means};
 use lobelia_solve::fit::{groups::forget_visibility, guard::check_parameters, observe::release_pool};
+use lobelia_solve::visibility::see_material;
 use lobelia_world::light::{
     EnvironmentMap, LightLobe, groups::other_lights, lights::own_lobes, render_lobes,
 };
+use lobelia_world::material::material_source::RecoveredMaterial;
 use lobelia_world::material::{
     DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
     recovered_materials, sheen::KnownAlong, sheen::has_sheen, sheen::write_albedo, texels_in_order,
@@ -41,7 +43,7 @@ use lobelia_world::{material::tilt::has_tilt, pipeline::Phase, pipeline::Slot, s
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 use std::{path::Path, sync::Arc, time::Instant};
-use steps::{begin_log, take_log, take_steps_and_choose};
+use steps::{begin_log, shader, take_log, take_steps_and_choose};
 use tracing::info_span;
 
 /// A picture of the light of the object that took its own photographs, as `environment.png` is of
@@ -390,11 +392,13 @@ fn refine_texture(session: &mut Session, pass: &FitPass, options: &FitOptions) -
         forget_visibility(&mut session.pipeline.world);
         (session.surface, session.surface_found) = (surface, true);
     }
-    let visibility = options.visibility && session.has_visibility()?;
+    session.pipeline.set_shader(Phase::Detail, shader(pass.shading, pass.quality));
+    let shadows = see_material::<RecoveredMaterial>();
+    session.set_shadows(Phase::Detail, pass.shading == FitShading::Accurate, shadows)?;
     let tilt = session.scene.material.tilt == Tilt::Unknown;
     let bar = session.progress.bar(&pass.name, 100);
     bar.set_message("texture".into());
-    let settings = DetailOptions { form: options.form, visibility, tilt, metal: options.unknowns.metal };
+    let settings = DetailOptions { tilt, metal: options.unknowns.metal };
     solve_detail(&mut session.pipeline, settings, &mut |done| bar.set_position((100.0 * done) as u64))?;
     bar.finish_and_clear();
     let (side, seconds) = (session.surface.atlas().width, start.elapsed().as_secs_f64());

@@ -40,12 +40,14 @@ use lobelia_solve::fit::{
     run::FitProgress, run::FitSummary, run::Initialize, run::may_pause, run::run_fit,
 };
 use lobelia_solve::shape::{run::training_silhouettes, vertices::MovingMesh};
-use lobelia_solve::{fit::observe::PixelChoice, visibility::ObjectVisibility};
+use lobelia_solve::visibility::{ObjectVisibility, see_material_of_step};
+use lobelia_solve::{fit::observe::PixelChoice, fit::systems::closed_form_shader};
 use lobelia_world::light::{LightLobe, groups::FittedLobe, light_frame::OwnLightFrame};
 use lobelia_world::material::{
     BaseMaterial, SpecularBlend, SpecularLobe, TexelIndex, first_material, recovered_materials,
     replace_materials, sheen::write_albedo, shown::recovered_material,
 };
+use lobelia_world::pipeline::{Phase, Shader};
 use lobelia_world::{checkpoint, checkpoint::Span, checkpoint::is_due, checkpoint::keep_resource};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
@@ -258,10 +260,9 @@ fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions, one: 
     let light_frame = world.get_resource::<OwnLightFrame>().map(|own| own.0);
     session.kept.several = true;
     let unknowns = session.unknowns();
-    // Shadows of geometry that has moved are traced again first.
-    let visibility = before.visibility && session.has_visibility()?;
+    set_shading(session, pass)?;
     let done = Done::default();
-    let options = FitOptions { done, unknowns, initialize, visibility, light_frame, ..before.clone() };
+    let options = FitOptions { done, unknowns, initialize, light_frame, ..before.clone() };
     let steps = one.summary.steps;
     let (from, most) = HOPELESS;
     let hopeless = |step, error| steps == TRIED[0] && step >= from && error > most * one.error;
@@ -362,19 +363,26 @@ pub(super) fn take_log(world: &mut World) -> String {
     world.remove_resource::<FitLog>().map_or_else(|| COLUMNS.into(), |log| log.0)
 }
 
-/// The closed form for the settings of a scene file.
-pub fn closed_form(shading: FitShading, quality: Quality) -> ClosedForm {
-    match shading {
+/// The shader for the settings of a scene file.
+pub(crate) fn shader(shading: FitShading, quality: Quality) -> Shader {
+    closed_form_shader(match shading {
         FitShading::Accurate => ClosedForm::Accurate(quality),
         FitShading::Published => ClosedForm::Published,
-    }
+    })
 }
 
-/// The settings of a fit that goes on from `done`.
+/// Puts in the shader and the shadows of a fit; those of geometry that has moved are traced again.
+fn set_shading(session: &mut Session, pass: &FitPass) -> Result<()> {
+    session.pipeline.set_shader(Phase::FitStep, shader(pass.shading, pass.quality));
+    // The published formulas are for comparison and include neither shadows nor interreflection.
+    session.set_shadows(Phase::FitStep, pass.shading == FitShading::Accurate, see_material_of_step())
+}
+
+/// The settings of a fit that goes on from `done`, with its shading put in.
 fn options(session: &mut Session, pass: &FitPass, done: Done) -> Result<FitOptions> {
+    set_shading(session, pass)?;
     Ok(FitOptions {
         loss: pass.loss,
-        form: closed_form(pass.shading, pass.quality),
         steps: pass.steps,
         done,
         batch: pass.batch as usize,
@@ -386,9 +394,6 @@ fn options(session: &mut Session, pass: &FitPass, done: Done) -> Result<FitOptio
         pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize, evenly: true },
         keeps_pool: true,
         initialize: session.kept.initialize,
-        // The published formulas are for comparison and include neither shadows nor
-        // interreflection.
-        visibility: pass.shading == FitShading::Accurate && session.has_visibility()?,
         looks_for_sheen: session.scene.material.sheen == Sheen::Auto,
         exposure: pass.exposure,
         measures: true,

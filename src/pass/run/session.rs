@@ -6,6 +6,7 @@ use crate::pass::{photograph, photograph::TrueObject, run::RunOptions, run::summ
 use crate::report::scores::{FrameTried, PlacementFound, Scores, peak_rss_mib};
 use crate::scene::{Albedo, Light, LightSource, Pass, PlacementLight, Scene, Views, Visibility};
 use crate::spawn::{LoadedLight, SurfaceUse, light::angles, load_light, make_surface, spawn, unknowns};
+use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
 use lobelia_geometry::{mesh::Surface, view::ViewRecord};
 use lobelia_solve::fit::run::{Done, FitPlugin, FitSummary, Initialize};
@@ -15,7 +16,8 @@ use lobelia_solve::{
     shade::frame::FramePlugin, visibility::ObjectVisibility, visibility::VisibilitySettings,
 };
 use lobelia_world::light::placement::{PlacementTurn, Placements, TurnSource};
-use lobelia_world::{light::light_frame::LightFrame, light::light_frame::OwnLightFrame, pipeline::Pipeline};
+use lobelia_world::light::{light_frame::LightFrame, light_frame::OwnLightFrame};
+use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 use serde::{Deserialize, Serialize};
 use std::{collections::BTreeMap, path::PathBuf, sync::Arc, time::Instant};
 use tracing::info_span;
@@ -185,6 +187,22 @@ impl<'a> Session<'a> {
         }
         // A convex object hides nothing, and need not look at every step.
         Ok(!self.pipeline.world.resource::<ObjectVisibility>().sees_all())
+    }
+
+    /// Puts these shadows and reflections into a phase if they are `wanted` and
+    /// [there](Self::has_visibility), and else none.
+    pub fn set_shadows(
+        &mut self,
+        phase: Phase,
+        wanted: bool,
+        systems: ScheduleConfigs<ScheduleSystem>,
+    ) -> Result<()> {
+        if wanted && self.has_visibility()? {
+            self.pipeline.swap(phase, Slot::Visibility, systems);
+        } else {
+            self.pipeline.clear(phase, Slot::Visibility);
+        }
+        Ok(())
     }
 
     /// Says which frame the pass found the light to stand still in, if it looked for it.

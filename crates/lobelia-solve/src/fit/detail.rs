@@ -25,7 +25,6 @@ use crate::fit::observe::{observed_in, spawn_samples, usable_by_view, usable_pix
 use crate::fit::{components::TexelSeen, exposure::Exposures, metal::Metals};
 use crate::shade::frame::{add_gathering, add_material_resources, trace_samples};
 use crate::shade::shade_closed_form;
-use crate::visibility::see_material;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World};
 use glam::{Mat2, Mat3, Vec2, Vec3};
 use half::f16;
@@ -69,11 +68,6 @@ const SHADING_PART: f32 = 0.8;
 /// Settings of the solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetailOptions {
-    /// The closed form used for shading.
-    pub form: ClosedForm,
-    /// Whether shading includes shadows and reflections; the world then needs an
-    /// [`ObjectVisibility`](crate::visibility::ObjectVisibility).
-    pub visibility: bool,
     /// Whether the tilt is unknown as well.
     pub tilt: bool,
     /// Whether the first base material may be a metal, beneath which there is no diffuse light
@@ -81,7 +75,9 @@ pub struct DetailOptions {
     pub metal: bool,
 }
 
-/// The systems of [`Phase::Detail`].
+/// The systems of [`Phase::Detail`], with accurate closed-form shading, without shadows, until other
+/// systems are put into its slots ([`see_material`](crate::visibility::see_material) into
+/// [`Slot::Visibility`]).
 pub struct DetailPlugin;
 
 impl Plugin for DetailPlugin {
@@ -94,6 +90,7 @@ impl Plugin for DetailPlugin {
             .add_systems(Phase::Detail, Stage::Trace, trace_samples)
             .add_systems(Phase::Detail, Stage::Gather, whiten_points.after(GatherPoints))
             .swap(Phase::Detail, Slot::Light, provide_light(LightChoice::Own, false))
+            .swap(Phase::Detail, Slot::Shading, shade_closed_form(ClosedForm::default()))
             .add_systems(Phase::Detail, Stage::Gradient, keep_pixels);
     }
 }
@@ -117,11 +114,6 @@ pub fn solve_detail(
     options: DetailOptions,
     watch: &mut dyn FnMut(f32),
 ) -> Result<()> {
-    pipeline.swap(Phase::Detail, Slot::Shading, shade_closed_form(options.form));
-    pipeline.clear(Phase::Detail, Slot::Visibility);
-    if options.visibility {
-        pipeline.swap(Phase::Detail, Slot::Visibility, see_material::<RecoveredMaterial>());
-    }
     spawn_samples(&mut pipeline.world, BATCH);
     let shaded = shade_pixels(pipeline, &mut |part| watch(SHADING_PART * part));
     let pixels = std::mem::take(&mut *pipeline.world.resource_mut::<DetailPixels>()).kept;

@@ -14,6 +14,7 @@ use crate::fit::groups::{StepPixels, Turns, exchange_light, forget_group_shadows
 use crate::fit::guard::{
     StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound,
 };
+use crate::fit::initialization::initialize_light_and_albedo;
 use crate::fit::loss::{Loss, LossSums, ViewSums, count_pool, sum_by_view};
 use crate::fit::observe::{
     PixelChoice, make_pool, release_pool, spawn_samples, take_observations, trace_pixels,
@@ -33,21 +34,20 @@ use crate::fit::sheen::{
 };
 use crate::fit::start::{FramesTried, find_start};
 use crate::fit::systems::{
-    compare_with_photographs, move_lobes, move_specular, move_texels, pull_back_radiance, scatter_to_texels,
+    closed_form_shader, compare_with_photographs, move_lobes, move_specular, move_texels, scatter_to_texels,
 };
 use crate::fit::{detail::DetailPlugin, metal::bound_diffuse_albedo};
 use crate::shade::frame::{add_gathering, add_material_resources};
-use crate::visibility::{ObjectVisibility, RefreshDue, see_material_of_step};
-use crate::{fit::initialization::initialize_light_and_albedo, shade::shade_closed_form};
+use crate::visibility::{ObjectVisibility, RefreshDue};
 use bevy_ecs::prelude::{
     Entity, IntoScheduleConfigs, Resource, SystemCondition, With, World, resource_exists,
 };
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
 use bevy_ecs::{prelude::Bundle, query::QueryFilter};
-use lobelia_geometry::Result;
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
+use lobelia_geometry::{Error, Result};
 use lobelia_sg::shading::ClosedForm;
 use lobelia_world::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_resource};
 use lobelia_world::light::LightLobe;
@@ -74,8 +74,6 @@ use tracing::info_span;
 pub struct FitOptions {
     /// The loss that is minimized.
     pub loss: Loss,
-    /// The closed form used for shading.
-    pub form: ClosedForm,
     /// Update steps, those of an earlier part included.
     pub steps: u32,
     /// Work of an earlier part of the fit: this one goes on with its moments.
@@ -99,9 +97,6 @@ pub struct FitOptions {
     pub keeps_pool: bool,
     /// Unknowns initialized from the data before the first step.
     pub initialize: Initialize,
-    /// Whether shading includes shadows and reflections; the world then needs an
-    /// [`ObjectVisibility`].
-    pub visibility: bool,
     /// Whether the fit decides by itself if the surface has a sheen.
     pub looks_for_sheen: bool,
     /// Whether photographs have exposures of their own.
@@ -116,11 +111,10 @@ pub struct FitOptions {
 }
 
 impl Default for FitOptions {
-    /// All of light and material but blends are unknown; 300 steps of 1024 pixels, without shadows.
+    /// All of light and material but blends are unknown; 300 steps of 1024 pixels.
     fn default() -> Self {
         Self {
             loss: Loss::default(),
-            form: ClosedForm::default(),
             steps: 300,
             done: Done::default(),
             batch: 1024,
@@ -132,7 +126,6 @@ impl Default for FitOptions {
             pixels: PixelChoice { seed: 0, max_pixels: 2_000_000, evenly: false },
             keeps_pool: false,
             initialize: Initialize::ALL,
-            visibility: false,
             looks_for_sheen: false,
             exposure: ExposureChoice::Equal,
             measures: false,
@@ -229,7 +222,9 @@ pub struct FitSummary {
     pub determined: Option<Determined>,
 }
 
-/// The fit's systems: Adam on texels, light lobes and the specular lobe, with closed-form shading.
+/// The fit's systems: Adam on texels, light lobes and the specular lobe, with accurate closed-form
+/// shading, without shadows, until another shader is put in ([`Pipeline::set_shader`]) and
+/// [`see_material_of_step`](crate::visibility::see_material_of_step) into [`Slot::Visibility`].
 pub struct FitPlugin;
 
 impl Plugin for FitPlugin {
@@ -254,13 +249,11 @@ impl Plugin for FitPlugin {
         // After a bad value all adjoints are zero, and are to remain so.
         let pull = pull_to_normal_maps.run_if(resource_exists::<NormalWeight>.and_then(step_is_sound));
         let adjoints = (check_adjoints, pull).chain().after(Slot::ShadingAdjoint).before(ScatterAdjoints);
-        // A run replaces the systems that shade by those of its closed form.
         pipeline
             .add_systems(Phase::Prepare, Stage::Trace, trace_pixels)
             .add_systems(Phase::FitStep, Stage::Sample, take_observations)
             .swap(Phase::FitStep, Slot::Light, provide_light(LightChoice::Own, false))
-            .swap(Phase::FitStep, Slot::Shading, shade_closed_form(ClosedForm::default()))
-            .swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(ClosedForm::default()))
+            .set_shader(Phase::FitStep, closed_form_shader(ClosedForm::default()))
             .add_systems(Phase::FitStep, Stage::Loss, loss.chain())
             .add_systems(Phase::FitStep, Stage::Gradient, adjoints)
             .add_systems(Phase::FitStep, Stage::Gradient, scatter.chain().in_set(ScatterAdjoints))
@@ -280,7 +273,7 @@ impl Plugin for FitPlugin {
 /// fit.
 ///
 /// # Errors
-/// If there is nothing to fit to, or a system fails;
+/// If there is nothing to fit to, the shader has no adjoint, or a system fails;
 /// [`Error::Interrupted`](lobelia_geometry::Error::Interrupted) if the run is stopped before the
 /// first step.
 pub fn run_fit(
@@ -307,7 +300,7 @@ fn fit(
     watch: &mut dyn FnMut(&FitProgress, &mut World) -> ControlFlow<()>,
 ) -> Result<FitSummary> {
     let start = Instant::now();
-    let pixels = prepare(pipeline, options)?;
+    let (pixels, shadowed) = prepare(pipeline, options)?;
     let _steps = info_span!("steps").entered();
     let (done, before) = (options.done.steps, options.done.secs);
     let elapsed = || before + start.elapsed().as_secs_f64();
@@ -355,7 +348,7 @@ fn fit(
     let is_whole = summary.steps >= options.steps && !is_stopping();
     if options.measures && is_whole && !world.resource::<Exposures>().are_unknown() {
         let _measuring = info_span!("determined").entered();
-        summary.determined = measure(world, options)?;
+        summary.determined = measure(world, options.unknowns, shadowed)?;
     }
     summary.elapsed_secs = elapsed();
     Ok(summary)
@@ -372,9 +365,14 @@ fn refresh_every(world: &World) -> u32 {
 }
 
 /// Gives a world the settings of a fit and its unknowns their gradients and moments, makes the pool
-/// and initializes; returns the number of pixels.
-fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
+/// and initializes; returns the number of pixels, and whether there are shadows.
+fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<(usize, bool)> {
     let _preparing = info_span!("prepared").entered();
+    if !pipeline.is_filled(Phase::FitStep, Slot::ShadingAdjoint) {
+        let help = "Put in one that has, with `Pipeline::set_shader` and `Shader::with_adjoint`.";
+        return Err(Error::usage("the shader of the fit has no adjoint", help));
+    }
+    let has_shadows = pipeline.is_filled(Phase::FitStep, Slot::Visibility);
     let world = &mut pipeline.world;
     let begins = options.done.steps == 0;
     if cameras_move(world) {
@@ -401,28 +399,21 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
         world.resource_mut::<Exposures>().begin(options.exposure, lights);
     }
     world.insert_resource(options.scale);
-    world.insert_resource(FitForm(options.form));
     world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
-    pipeline.swap(Phase::FitStep, Slot::Shading, shade_closed_form(options.form));
-    pipeline.swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(options.form));
     let pixels = make_pool(pipeline)?;
-    let shadowed = options.visibility && pipeline.world.contains_resource::<ObjectVisibility>();
-    pipeline.clear(Phase::FitStep, Slot::Visibility);
-    if shadowed {
-        pipeline.swap(Phase::FitStep, Slot::Visibility, see_material_of_step());
-    }
+    let shadowed = has_shadows && pipeline.world.contains_resource::<ObjectVisibility>();
     if !options.done.is_pause {
         count_pool(&mut pipeline.world);
         pipeline.world.insert_resource(RecentSums::default());
     }
     initialize(&mut pipeline.world, options, shadowed)?;
     spawn_samples(&mut pipeline.world, options.batch.clamp(1, pixels));
-    Ok(pixels)
+    Ok((pixels, shadowed))
 }
 
 /// Initializes the unknowns from the data.
 fn initialize(world: &mut World, options: &FitOptions, shadowed: bool) -> Result<()> {
-    let initialize = options.initialize;
+    let (initialize, FitForm(form)) = (options.initialize, *world.resource());
     let unknowns = Unknowns {
         light: options.unknowns.light && initialize.light,
         albedo: options.unknowns.albedo && initialize.albedo,
@@ -432,9 +423,9 @@ fn initialize(world: &mut World, options: &FitOptions, shadowed: bool) -> Result
         world.insert_resource(OwnLightFrame(frame));
     }
     let finds_frame = options.light_frame.is_none() && unknowns.light;
-    find_start(world, finds_frame, initialize.specular, unknowns, options.form)?;
+    find_start(world, finds_frame, initialize.specular, unknowns, form)?;
     if options.done.steps == 0 {
-        find_placements(world, unknowns, options.form)?;
+        find_placements(world, unknowns, form)?;
     }
     let _initializing = info_span!("initialization").entered();
     let both = unknowns.light && unknowns.albedo;
@@ -443,7 +434,7 @@ fn initialize(world: &mut World, options: &FitOptions, shadowed: bool) -> Result
     let from_maps = keeps && follow_maps(world, unknowns.metal, both)?;
     // Light is solved for under the albedo of the maps, which alternation would leave again.
     let solved = Unknowns { albedo: unknowns.albedo && !(from_maps && both), ..unknowns };
-    initialize_light_and_albedo(world, solved, options.form, shadowed)?;
+    initialize_light_and_albedo(world, solved, form, shadowed)?;
     if both && !from_maps {
         start_scale(world, options.scale)?;
     }

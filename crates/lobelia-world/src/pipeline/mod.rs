@@ -36,7 +36,9 @@ mod tests;
 use crate::material::shown::mark_material_changed;
 use bevy_ecs::error::{BevyError, ErrorContext, FallbackErrorHandler};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Resource, Schedule, Schedules, SystemSet, World};
-use bevy_ecs::schedule::{InternedSystemSet, ScheduleCleanupPolicy, ScheduleLabel, SingleThreadedExecutor};
+use bevy_ecs::schedule::{
+    InternedSystemSet, ScheduleCleanupPolicy, ScheduleConfigs, ScheduleLabel, SingleThreadedExecutor,
+};
 use bevy_ecs::system::ScheduleSystem;
 use lobelia_geometry::{Error, Result};
 use lobelia_sg::shading::ClosedForm;
@@ -149,7 +151,31 @@ pub trait Plugin: 'static {
     fn build(&self, pipeline: &mut Pipeline);
 }
 
-/// The closed form of a fit, also where it is needed as a value.
+/// A shader: the system that shades, and its adjoint, which a fit needs.
+pub struct Shader {
+    /// Writes the radiance of samples, for [`Slot::Shading`].
+    pub forward: ScheduleConfigs<ScheduleSystem>,
+    /// Pulls the adjoint of radiance back to samples, light and material, for
+    /// [`Slot::ShadingAdjoint`].
+    pub adjoint: Option<ScheduleConfigs<ScheduleSystem>>,
+    /// The closed form that it is, or that is nearest to it: a fit needs one beside its steps, as
+    /// where it initializes.
+    pub form: ClosedForm,
+}
+
+impl Shader {
+    /// A shader without adjoint, for pictures.
+    pub fn new<M>(forward: impl IntoScheduleConfigs<ScheduleSystem, M>) -> Self {
+        Self { forward: forward.into_configs(), adjoint: None, form: ClosedForm::default() }
+    }
+
+    /// The shader with an adjoint, for fits.
+    pub fn with_adjoint<M>(self, adjoint: impl IntoScheduleConfigs<ScheduleSystem, M>) -> Self {
+        Self { adjoint: Some(adjoint.into_configs()), ..self }
+    }
+}
+
+/// [`Shader::form`] of the shader in [`Phase::FitStep`].
 #[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
 pub struct FitForm(pub ClosedForm);
 
@@ -262,7 +288,8 @@ impl Pipeline {
         schedule.unwrap_or_else(|| panic!("there is no phase {label:?}: add it with add_phase"))
     }
 
-    /// Puts `system` into `slot` and removes the previous system.
+    /// Puts `system` into `slot` and removes the previous system, and with that of
+    /// [`Slot::Shading`] its adjoint.
     pub fn swap<M>(
         &mut self,
         phase: impl ScheduleLabel,
@@ -270,7 +297,35 @@ impl Pipeline {
         system: impl IntoScheduleConfigs<ScheduleSystem, M>,
     ) -> &mut Self {
         let phase = phase.intern();
+        if slot == Slot::Shading {
+            self.clear(phase, Slot::ShadingAdjoint);
+        }
         self.clear(phase, slot).add_systems(phase, slot.stage(), system.in_set(slot))
+    }
+
+    /// Puts a shader into [`Slot::Shading`] and, in a step of a fit, its adjoint into
+    /// [`Slot::ShadingAdjoint`].
+    pub fn set_shader(&mut self, phase: impl ScheduleLabel, shader: Shader) -> &mut Self {
+        let phase = phase.intern();
+        self.swap(phase, Slot::Shading, shader.forward);
+        if phase == Phase::FitStep.intern() {
+            self.world.insert_resource(FitForm(shader.form));
+            if let Some(adjoint) = shader.adjoint {
+                self.swap(phase, Slot::ShadingAdjoint, adjoint);
+            }
+        }
+        self
+    }
+
+    /// Whether there is a system in a slot, or in another set.
+    pub fn is_filled(&mut self, phase: impl ScheduleLabel, set: impl SystemSet) -> bool {
+        let set = set.intern();
+        let found = self.world.try_schedule_scope(phase, |world, schedule| {
+            // The graph must be built before systems can be found.
+            let is_built = schedule.initialize(world).is_ok();
+            is_built && schedule.graph().systems_in_set(set).is_ok_and(|systems| !systems.is_empty())
+        });
+        found.unwrap_or(false)
     }
 
     /// Removes the system in a slot, or all systems of another set.

@@ -172,6 +172,24 @@ fn a_plugin_is_built_once() -> Result<()> {
 }
 
 #[test]
+fn a_shader_is_put_in_with_its_adjoint_and_goes_with_it() -> Result<()> {
+    let mut pipeline = pipeline();
+    let form = ClosedForm::Published;
+    let shader = || Shader { form, ..Shader::new(say("shade")).with_adjoint(say("pull back")) };
+    pipeline.set_shader(Phase::Frame, shader()).set_shader(Phase::FitStep, shader());
+    pipeline.run(Phase::Frame)?;
+    pipeline.run(Phase::FitStep)?;
+    assert_eq!(trail(&mut pipeline), "sample shade write shade pull back");
+    assert_eq!(*pipeline.world.resource::<FitForm>(), FitForm(form));
+    pipeline.swap(Phase::FitStep, Slot::Shading, say("otherwise"));
+    assert!(pipeline.is_filled(Phase::FitStep, Slot::Shading));
+    assert!(!pipeline.is_filled(Phase::FitStep, Slot::ShadingAdjoint));
+    pipeline.run(Phase::FitStep)?;
+    assert_eq!(trail(&mut pipeline), "otherwise");
+    Ok(())
+}
+
+#[test]
 fn a_stage_with_a_condition_is_left_out_and_what_a_failure_skips_is_done_after_it() -> Result<()> {
     let mut pipeline = pipeline();
     pipeline.configure_sets(Phase::Frame, Stage::Loss.run_if(|| false));
