@@ -2,11 +2,18 @@
 //! one's own.
 
 use crate::common::{RADIUS, camera, column, day, evening, photographs_of, shoot, studio};
+use lobelia::fit::components::TexelSeen;
+use lobelia::sg::fibonacci::fibonacci_axes;
+use lobelia::sg::shading::{LobeColumns, ShadePoint};
 use lobelia::{
     codec::exr::read_exr_layers, ecs::*, material::shown::recovered_material, object::save::write_material,
     prelude::*,
 };
-use std::{collections::BTreeSet, ops::ControlFlow, sync::LazyLock};
+use std::{ops::ControlFlow, sync::LazyLock};
+
+#[path = "../examples/own_shader.rs"]
+#[allow(dead_code)]
+mod own_shader;
 
 #[derive(Component)]
 struct Marked;
@@ -170,7 +177,7 @@ fn shadows_are_computed_again_when_light_or_material_change_and_only_then() {
     let mut pipeline = studio(&day());
     pipeline.world.insert_resource(ObjectVisibility::new(&surface, VisibilitySettings::default()));
     pipeline.world.init_resource::<Refreshes>();
-    pipeline.add_plugin(&FrameVisibilityPlugin);
+    pipeline.swap(Phase::Frame, Slot::Visibility, see_material::<ShownMaterial>());
     pipeline.add_systems(Phase::Frame, Stage::Gather, count_refreshes.after(Slot::Visibility));
     let refreshes = |pipeline: &mut Pipeline| {
         shoot(pipeline, front());
@@ -261,36 +268,47 @@ fn rendering_and_fitting_that_are_added_twice_do_all_once() {
     assert_eq!(found(fitted(|pipeline| _ = pipeline.add_plugin(&FitPlugin))), *PLAIN);
 }
 
-/// The names of all resources, and of all components of texels, lobes and base materials.
-fn names(world: &mut World) -> BTreeSet<String> {
-    let resources = world.iter_resources().map(|(_, info, _)| info.name().to_string());
-    let mut names: BTreeSet<String> = resources.collect();
-    type Selected = Or<(With<TexelIndex>, With<LightLobe>, With<SpecularLobe>)>;
-    let selected: Vec<Entity> = world.query_filtered::<Entity, Selected>().iter(world).collect();
-    for entity in selected {
-        names.extend(world.inspect_entity(entity).unwrap().map(|(_, info)| info.name().to_string()));
+#[test]
+fn a_shader_of_ones_own_is_fitted_by_its_adjoint() {
+    let lamps = LobeColumns::from_lobes(LightLobe::even(12).iter().map(Into::into));
+    let point = |(normal, to_viewer): (&Vec3, &Vec3)| ShadePoint {
+        normal: normal.to_array(),
+        to_viewer: to_viewer.to_array(),
+        albedo: [0.5; 3],
+    };
+    let axes = fibonacci_axes(40);
+    let points: Vec<ShadePoint> = axes.iter().zip(axes.iter().skip(2)).map(point).collect();
+    for roughness in [0.25, 0.5, 0.9] {
+        let step = 2e-3;
+        let [low, here, high] =
+            [-step, 0.0, step].map(|by| own_shader::phong(&points, &lamps, roughness + by));
+        for i in 0..points.len() {
+            let difference = (high[i][1] - low[i][1]) / (2.0 * step);
+            let off = (here[i][2] - difference).length();
+            assert!(off < 1e-3 * (1.0 + difference.length()), "{} is not {difference}", here[i][2]);
+        }
+        assert!(here.iter().any(|[.., slope]| slope.x > 0.1));
     }
-    names
+    let (albedo, lobe) = (Vec3::new(0.6, 0.3, 0.1), SpecularLobe::new(Vec3::splat(0.3), 0.3));
+    let start = (Vec3::splat(0.4), SpecularLobe::new(Vec3::splat(0.15), 0.5));
+    let mut pipeline = own_shader::fitted((albedo, lobe), start).unwrap();
+    let seen = column::<TexelSeen>(&mut pipeline.world);
+    let (texels, _, found) = found(pipeline);
+    let known = texels.iter().zip(&seen).filter(|(_, seen)| seen.0 > 4.0).map(|(texel, _)| texel.albedo);
+    let off: Vec<f32> = known.map(|found| (found - albedo).abs().max_element()).collect();
+    assert!(off.len() > 50 && off.iter().sum::<f32>() < 0.005 * off.len() as f32, "{off:?}");
+    assert!((found.roughness - lobe.roughness).abs() < 0.005, "{found:?}");
+    assert!((found.albedo - lobe.albedo).abs().max_element() < 0.005, "{found:?}");
 }
 
 #[test]
-fn a_fit_that_is_removed_leaves_what_it_found_and_nothing_else() {
-    let mut pipeline = studio(&LightLobe::even(16));
-    let views = photographs_of(&mut studio(&day()), 8, 24, |_, _| {});
-    spawn_views(&mut pipeline.world, views);
-    let before = names(&mut pipeline.world);
-    let options = FitOptions { steps: 3, batch: 256, looks_for_sheen: true, ..FitOptions::default() };
-    for _ in 0..2 {
-        pipeline.add_plugin(&FitPlugin);
-        let fitted = run_fit(&mut pipeline, &options, &mut |_, _| ControlFlow::Continue(())).unwrap();
-        assert_eq!(fitted.steps, 3);
-        pipeline.remove_plugin::<FitPlugin>();
-        let after = names(&mut pipeline.world);
-        let left: BTreeSet<_> = after.difference(&before).filter_map(|of| of.rsplit("::").next()).collect();
-        // The list of what checkpoints keep, the frame that was found, and the empty shadows that
-        // frames use too.
-        assert_eq!(left, BTreeSet::from(["Kept", "OwnLightFrame", "WindowVisibility"]));
-    }
+fn a_fit_refuses_a_shader_without_adjoint() {
+    let mut pipeline = studio(&day());
+    spawn_views(&mut pipeline.world, photographs_of(&mut studio(&day()), 1, 8, |_, _| {}));
+    let paths = PathTracing { paths_per_sample: 1, max_bounces: 1, seed: 0, samples_per_pixel: 1 };
+    pipeline.add_plugin(&FitPlugin).set_shader(Phase::FitStep, Shader::new(shade_path_traced(paths)));
+    let fitted = run_fit(&mut pipeline, &FitOptions::default(), &mut |_, _| ControlFlow::Continue(()));
+    assert_eq!(fitted.unwrap_err().to_string(), "the shader of the fit has no adjoint");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Steps of a fit that are not finite: traced, taken back, and without any trace in what is found.
 
 use crate::common::{RADIUS, column, day, photographs_of, studio};
-use lobelia::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns};
+use lobelia::fit::cameras::{CameraFit, CameraUnknowns};
 use lobelia::fit::components::{
     AlbedoGradient, AlbedoMoments, LobeMoments, SpecularMoments, StepRates, Unknowns,
 };
@@ -9,7 +9,7 @@ use lobelia::fit::exposure::{ExposureChoice, Exposures};
 use lobelia::fit::guard::{StepGuard, check_adjoints};
 use lobelia::fit::sheen::{SheenGradient, SheenMoments};
 use lobelia::sg::shading::{Layers, PointAdjoint};
-use lobelia::shape::vertices::{MovingMesh, VertexPlugin};
+use lobelia::shape::{run::GeometryPlugin, vertices::MovingMesh};
 use lobelia::{ecs::*, fit::scale::ScaleMoments, prelude::*};
 use std::ops::{ControlFlow, Range};
 
@@ -69,7 +69,7 @@ fn poisoned_fit(
 ) -> (Pipeline, Result<FitSummary>, Vec<String>) {
     let mut truth = studio(&day());
     let mut pipeline = studio(&LightLobe::even(16));
-    pipeline.add_plugin(&FitPlugin);
+    pipeline.add_plugin(&FitPlugin).add_plugin(&GeometryPlugin);
     spawn_views(&mut pipeline.world, photographs_of(&mut truth, 1, 24, |_, _| ()));
     prepare(&mut pipeline);
     pipeline.world.insert_resource(poison);
@@ -153,14 +153,14 @@ fn steps_of_vertices_and_cameras_that_are_not_finite_are_taken_back() {
         (guard.first.clone().unwrap(), pipeline)
     };
     let (first, pipeline) = fit(Place::Cameras, &|pipeline| {
-        _ = pipeline.add_plugin(&CameraPlugin(CameraUnknowns::Poses));
+        pipeline.world.insert_resource(CameraUnknowns::Poses);
     });
     assert!(first.contains("step 60: the gradient is not finite, by the camera of view number 0"), "{first}");
     let fit_of_cameras = pipeline.world.resource::<CameraFit>();
     assert!(fit_of_cameras.noise.iter().all(|noise| noise.is_finite()));
     let (first, pipeline) = fit(Place::Vertices, &|pipeline| {
         let surface = Arc::new(Surface::new(sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), 32).unwrap());
-        _ = pipeline.add_plugin(&VertexPlugin { surface, steps: 110, silhouettes: Arc::default() });
+        pipeline.world.insert_resource(MovingMesh::new(surface, 110, Vec::new()));
     });
     assert!(first.contains("step 60: the gradient is not finite, by vertex "), "{first}");
     let positions = &pipeline.world.resource::<MovingMesh>().surface.mesh().positions;

@@ -390,7 +390,7 @@ fn solved(mut start: Pipeline, photographs: Vec<ViewRecord>, tilt: bool) -> Pipe
         start.world.entity_mut(texel).insert(TexelSeen::default());
     }
     spawn_views(&mut start.world, photographs);
-    let options = DetailOptions { form: ClosedForm::default(), visibility: false, tilt, metal: false };
+    let options = DetailOptions { tilt, metal: false };
     let mut done = 0.0;
     solve_detail(&mut start, options, &mut |part| done = part).unwrap();
     assert_eq!(done, 1.0);

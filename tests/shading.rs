@@ -140,9 +140,9 @@ fn shadows_and_reflections_come_close_to_path_tracing() {
         let view = camera([0.6, 0.5, 0.8], 64);
         let plain = shoot(&mut pipeline, view);
         pipeline.world.insert_resource(ObjectVisibility::new(&surface, VisibilitySettings::default()));
-        pipeline.add_plugin(&FrameVisibilityPlugin);
+        pipeline.swap(Phase::Frame, Slot::Visibility, see_material::<ShownMaterial>());
         let shadowed = shoot(&mut pipeline, view);
-        pipeline.remove_plugin::<FrameVisibilityPlugin>();
+        pipeline.clear(Phase::Frame, Slot::Visibility);
         assert_eq!(shoot(&mut pipeline, view), plain, "taken out again, nothing of it stays");
         let paths = PathTracing { paths_per_sample: 64, max_bounces: 4, seed: 1, samples_per_pixel: 4 };
         pipeline.swap(Phase::Frame, Slot::Shading, shade_path_traced(paths));

@@ -43,22 +43,23 @@ use lobelia_solve::fit::run::{
     run_fit,
 };
 use lobelia_solve::fit::scale::{ScaleRule, means};
+use lobelia_solve::fit::systems::closed_form_shader;
 use lobelia_solve::fit::{
-    cameras::CameraPlugin, cameras::CameraUnknowns, components::TexelSeen, guard::check_numbers,
-    guard::check_parameters,
+    cameras::CameraUnknowns, components::TexelSeen, guard::check_numbers, guard::check_parameters,
 };
-use lobelia_solve::shape::{run::training_silhouettes, vertices::MovingMesh, vertices::VertexPlugin};
-use lobelia_solve::visibility::ObjectVisibility;
+use lobelia_solve::shape::{run::training_silhouettes, vertices::MovingMesh};
+use lobelia_solve::visibility::{ObjectVisibility, see_material, see_material_of_step};
 use lobelia_world::checkpoint::{self, Span, is_due, keep_part, keep_resource, resume_part};
 use lobelia_world::light::groups::{entities_of_group, light_groups};
 use lobelia_world::light::{light_frame::OwnLightFrame, placement::LightGroup};
 use lobelia_world::material::diffuse::{Diffuse, KnownAlong, has_sheen, has_tilt, write_albedo};
+use lobelia_world::material::material_source::RecoveredMaterial;
 use lobelia_world::material::{
     BaseMaterial, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, first_material,
     replace_materials, shown::recovered_material, texels_in_order,
 };
 use lobelia_world::pipeline::pool::{despawn_rows, read_column, with_columns, write_column};
-use lobelia_world::pipeline::{Phase, Slot};
+use lobelia_world::pipeline::{Phase, Shader, Slot};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 use std::{ops::ControlFlow, sync::Arc, time::Instant};
@@ -328,10 +329,9 @@ fn try_several(object: &mut Object, pass: &FitPass, before: &FitOptions, one: &S
     let light_frame = world.get_resource::<OwnLightFrame>().map(|own| own.0);
     object.found().several = true;
     let unknowns = object.unknowns();
-    // Shadows of geometry that has moved are traced again first.
-    let visibility = before.visibility && object.has_visibility()?;
+    set_shading(object, pass)?;
     let done = Done::default();
-    let options = FitOptions { done, unknowns, initialize, visibility, light_frame, ..before.clone() };
+    let options = FitOptions { done, unknowns, initialize, light_frame, ..before.clone() };
     let steps = one.summary.steps;
     let (from, most) = HOPELESS;
     let hopeless = |step, error| steps == TRIED[0] && step >= from && error > most * one.error;
@@ -433,20 +433,27 @@ pub(crate) fn take_log(world: &mut World) -> String {
     world.remove_resource::<FitLog>().map_or_else(|| COLUMNS.into(), |log| log.0)
 }
 
-/// The closed form for the settings of a scene file.
-pub fn closed_form(shading: FitShading, quality: Quality) -> ClosedForm {
-    match shading {
+/// The shader for the settings of a scene file.
+pub(super) fn shader(shading: FitShading, quality: Quality) -> Shader {
+    closed_form_shader(match shading {
         FitShading::Accurate => ClosedForm::Accurate(quality),
         FitShading::Published => ClosedForm::Published,
-    }
+    })
 }
 
-/// The settings of a fit that goes on from `done`.
+/// Puts in the shader and the shadows of a fit; those of geometry that has moved are traced again.
+fn set_shading(object: &mut Object, pass: &FitPass) -> Result<()> {
+    object.pipeline.set_shader(Phase::FitStep, shader(pass.shading, pass.quality));
+    // The published formulas are for comparison and include neither shadows nor interreflection.
+    object.set_shadows(Phase::FitStep, pass.shading == FitShading::Accurate, see_material_of_step())
+}
+
+/// The settings of a fit that goes on from `done`, with its shading put in.
 fn options(object: &mut Object, pass: &FitPass, done: Done) -> Result<FitOptions> {
     let scene = object.scene();
+    set_shading(object, pass)?;
     Ok(FitOptions {
         loss: pass.loss,
-        form: closed_form(pass.shading, pass.quality),
         steps: pass.steps,
         done,
         batch: pass.batch as usize,
@@ -458,9 +465,6 @@ fn options(object: &mut Object, pass: &FitPass, done: Done) -> Result<FitOptions
         pixels: PixelChoice { seed: scene.seed, max_pixels: pass.max_pixels as usize, evenly: true },
         keeps_pool: true,
         initialize: object.found().initialize,
-        // The published formulas are for comparison and include neither shadows nor
-        // interreflection.
-        visibility: pass.shading == FitShading::Accurate && object.has_visibility()?,
         looks_for_sheen: scene.material.sheen == Sheen::Auto,
         exposure: pass.exposure,
         measures: true,
@@ -543,11 +547,13 @@ fn refine_texture(object: &mut Object, pass: &FitPass, options: &FitOptions) -> 
         divide_texels(&mut object.pipeline.world, &from.collect::<Vec<_>>())?;
         replace_surface(&mut object.pipeline.world, surface);
     }
-    let visibility = options.visibility && object.has_visibility()?;
+    object.pipeline.set_shader(Phase::Detail, shader(pass.shading, pass.quality));
+    let shadows = see_material::<RecoveredMaterial>();
+    object.set_shadows(Phase::Detail, pass.shading == FitShading::Accurate, shadows)?;
     let tilt = object.scene().material.tilt == Tilt::Unknown;
     let bar = object.progress().bar(&pass.name, 100);
     bar.set_message("texture".into());
-    let settings = DetailOptions { form: options.form, visibility, tilt, metal: options.unknowns.metal };
+    let settings = DetailOptions { tilt, metal: options.unknowns.metal };
     solve_detail(&mut object.pipeline, settings, &mut |done| bar.set_position((100.0 * done) as u64))?;
     bar.finish_and_clear();
     let (side, seconds) = (object.surface().atlas().width, start.elapsed().as_secs_f64());
@@ -642,17 +648,14 @@ fn take_steps(
     let place = |(at, covered): (&Vec3, &bool)| if *covered { *at } else { Vec3::NAN };
     let positions = atlas.position.iter().zip(&atlas.covered).map(place).collect();
     object.pipeline.world.insert_resource(TexelPlaces { positions, progress: 0.0 });
-    // The systems that optimize cameras and vertices, if the pass enables them.
     let moves_cameras = pass.cameras != CameraUnknowns::Given;
     let moves_vertices = pass.vertices && !object.found().normals_found && !object.found().by_stereo;
-    if moves_cameras {
-        object.pipeline.add_plugin(&CameraPlugin(pass.cameras));
-    }
+    let world = &mut object.pipeline.world;
+    world.insert_resource(pass.cameras);
     if moves_vertices {
-        let steps = pass.steps;
         // Silhouettes are seen by the cameras as they are now.
-        let seen = if moves_cameras { Vec::new() } else { training_silhouettes(&mut object.pipeline.world) };
-        object.pipeline.add_plugin(&VertexPlugin { surface, steps, silhouettes: seen.into() });
+        let seen = if moves_cameras { Vec::new() } else { training_silhouettes(world) };
+        world.insert_resource(MovingMesh::new(surface.clone(), pass.steps, seen));
     }
     let is_still = !moves_cameras && !moves_vertices;
     let (mut error, mut psnr, mut ended) = (0.0, 0.0, Ended::Done);
@@ -674,9 +677,8 @@ fn take_steps(
         let is_over = ended != Ended::Done || is_stopping() || told.is_err();
         if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
-    object.pipeline.remove_plugin::<CameraPlugin>();
-    let moved = object.pipeline.world.get_resource::<MovingMesh>().map(|mesh| mesh.surface.clone());
-    object.pipeline.remove_plugin::<VertexPlugin>();
+    object.pipeline.world.remove_resource::<CameraUnknowns>();
+    let moved = object.pipeline.world.remove_resource::<MovingMesh>().map(|mesh| mesh.surface);
     if let Some(moved) = moved.filter(|moved| !Arc::ptr_eq(moved, &object.surface())) {
         replace_surface(&mut object.pipeline.world, moved);
     }

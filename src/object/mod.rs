@@ -42,6 +42,7 @@ use crate::spawn::{
 };
 use crate::survey::open::OpenScene;
 use bevy_ecs::prelude::{Mut, Resource, World};
+use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::Vec3;
 use lobelia_geometry::error::{Error, Result, stop::Stop, stop::check_interrupted};
 use lobelia_geometry::{
@@ -50,14 +51,15 @@ use lobelia_geometry::{
 use lobelia_solve::fit::run::{Done, FitPlugin, FitSummary, Initialize};
 use lobelia_solve::fit::{FramesTried, components::Unknowns};
 use lobelia_solve::shade::frame::FramePlugin;
-use lobelia_solve::shape::run::keep_texel_count;
+use lobelia_solve::shape::run::{GeometryPlugin, keep_texel_count};
 use lobelia_solve::visibility::{ObjectVisibility, VisibilitySettings};
 use lobelia_world::checkpoint::{Span, from_bytes, keep_resource, keep_state, to_bytes};
 use lobelia_world::light::lights::spawn_light;
 use lobelia_world::light::placement::{PlacementTurn, Placements, TurnSource};
+use lobelia_world::light::{light_frame::LightFrame, light_frame::OwnLightFrame};
 use lobelia_world::material::{SpecularBlend, SpecularLobe, recovered_materials, replace_materials};
+use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 use lobelia_world::sample::point::Scenery;
-use lobelia_world::{light::light_frame::LightFrame, light::light_frame::OwnLightFrame, pipeline::Pipeline};
 use photograph::TrueObject;
 use progress::{Progress, Silent};
 use serde::{Deserialize, Serialize};
@@ -269,7 +271,7 @@ impl Object {
         world.insert_resource(Found { initialize, has_object, several, chosen, normals_found, by_stereo });
         world.insert_resource(Scores::default());
         keep_object(world);
-        pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
+        pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin).add_plugin(&GeometryPlugin);
         spawn(&mut pipeline, &scene, &surface, views, own_light.as_ref(), &others)?;
         let world = &mut pipeline.world;
         for pass in &scene.passes {
@@ -344,6 +346,22 @@ impl Object {
         }
         // A convex object hides nothing, and need not look at every step.
         Ok(!self.pipeline.world.resource::<ObjectVisibility>().sees_all())
+    }
+
+    /// Puts these shadows and reflections into a phase if they are `wanted` and
+    /// [there](Self::has_visibility), and else none.
+    pub(crate) fn set_shadows(
+        &mut self,
+        phase: Phase,
+        wanted: bool,
+        systems: ScheduleConfigs<ScheduleSystem>,
+    ) -> Result<()> {
+        if wanted && self.has_visibility()? {
+            self.pipeline.swap(phase, Slot::Visibility, systems);
+        } else {
+            self.pipeline.clear(phase, Slot::Visibility);
+        }
+        Ok(())
     }
 
     /// Says which frame the pass found the light to stand still in, if it looked for it.

@@ -1,7 +1,7 @@
 //! The shape of an object: recovers an unknown surface from photographs and masks, and replaces the
 //! visual hull by it.
 
-use crate::object::{Object, fit::closed_form, progress::Progress, progress::tell, replace_surface};
+use crate::object::{Object, fit::shader, progress::Progress, progress::tell, replace_surface};
 use crate::scene::{GridLevel, ShapePass, Surface as SurfaceSpec};
 use crate::spawn::insert_known_along;
 use bevy_ecs::prelude::World;
@@ -22,6 +22,7 @@ use lobelia_solve::shape::{
 };
 use lobelia_solve::{fit::components::Unknowns, shape::hull::extract_parts, shape::systems::ShapeSchedule};
 use lobelia_world::material::recovered_albedo;
+use lobelia_world::pipeline::{Phase, Slot};
 use std::{ops::ControlFlow, sync::Arc, time::Instant};
 use tracing::info_span;
 
@@ -127,7 +128,6 @@ fn fit(object: &mut Object, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
         levels: pass.levels.iter().map(level).collect(),
         fit: FitOptions {
             loss: pass.loss,
-            form: closed_form(pass.shading, Quality::Default),
             batch: pass.batch as usize,
             rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
             milestones: vec![0.6, 0.85],
@@ -147,6 +147,9 @@ fn fit(object: &mut Object, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
         hollows: pass.hollows && matches!(pass.exposure, ExposureChoice::Auto | ExposureChoice::Equal),
         spans_unseen: pass.spans_unseen,
     };
+    object.pipeline.set_shader(Phase::FitStep, shader(pass.shading, Quality::Default));
+    // Shadows would have to be traced at every step.
+    object.pipeline.clear(Phase::FitStep, Slot::Visibility);
     // How many levels there are is known once the hull is.
     let bar = object.progress().bar(&pass.name, 0);
     bar.set_message("hull".into());

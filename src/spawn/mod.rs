@@ -38,7 +38,7 @@ use lobelia_io::codec::{gltf::import::read_mesh_with_report, gltf::material::rea
 use lobelia_sg::brdf::Ndf;
 use lobelia_solve::fit::{components::Unknowns, roughness::BASE_ROUGHNESSES, roughness::TexelRoughness};
 use lobelia_solve::shape::hull::{check_hull, extract_parts, visual_hull};
-use lobelia_solve::{fit::priors::NormalMapPlugin, fit::priors::NormalWeight, shape::silhouette::Silhouette};
+use lobelia_solve::{fit::priors::NormalWeight, shape::silhouette::Silhouette};
 use lobelia_world::light::placement::{LightGroup, PlacementTurn, Placements, TurnSource};
 use lobelia_world::light::{groups::spawn_group_lights, light_frame::OwnLightFrame, lights::LightMap};
 use lobelia_world::material::diffuse::{KnownAlong, MOST_TILT, of_albedos};
@@ -77,7 +77,7 @@ pub fn spawn(
     if let Views::Dataset(data) = &scene.views
         && let Some(prior) = &data.priors.normals
     {
-        pipeline.add_plugin(&NormalMapPlugin(NormalWeight(prior.weight)));
+        pipeline.world.insert_resource(NormalWeight(prior.weight));
     }
     let world = &mut pipeline.world;
     world.insert_resource(Scenery(surface.clone()));

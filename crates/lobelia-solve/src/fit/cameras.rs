@@ -17,7 +17,6 @@
 //! it.
 
 use crate::fit::guard::{StepGuard, is_usable};
-use crate::fit::observe::{GradientsNeeded, take_gradients};
 use crate::fit::{components::StepRates, exposure::Exposures, loss::radiance};
 use bevy_ecs::prelude::{Component, Entity, Mut, Query, Res, ResMut, Resource, With, World};
 use glam::{Affine3A, Quat, Vec2, Vec3};
@@ -27,7 +26,7 @@ use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex, ViewName};
 use lobelia_sg::linear::{cholesky, solve_factored};
 use lobelia_sg::ray::Intersect;
 use lobelia_sg::shading::Layers;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
+use lobelia_world::pipeline::SystemResult;
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{ImageGradient, Observed, PixelOf, ViewRay};
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
@@ -73,7 +72,7 @@ impl CameraPose {
 }
 
 /// The camera parameters that a fit optimizes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Resource, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CameraUnknowns {
     /// None: the cameras are as given.
     #[default]
@@ -116,11 +115,6 @@ pub struct CameraFit {
     pub noise: [f32; 2],
     /// Approximate center of the object, world space; computed with the first residuals.
     pub center: Option<Vec3>,
-    /// The parameters that are optimized.
-    pub unknowns: CameraUnknowns,
-    /// Whether the object moves as well, so that only relative corrections between cameras are
-    /// used.
-    pub object_moves: bool,
 }
 
 impl CameraFit {
@@ -130,29 +124,14 @@ impl CameraFit {
     }
 }
 
-/// The systems that align cameras with the photographs, for fixed and moving surfaces.
-pub struct CameraPlugin(pub CameraUnknowns);
-
-impl Plugin for CameraPlugin {
-    fn build(&self, pipeline: &mut Pipeline) {
-        attach_poses(&mut pipeline.world);
-        pipeline.world.insert_resource(GradientsNeeded);
-        let mut fit = pipeline.world.resource_mut::<CameraFit>();
-        (fit.unknowns, fit.object_moves) = (self.0, false);
-        pipeline
-            .add_systems(Phase::FitStep, Stage::Sample, take_gradients)
-            .swap(Phase::FitStep, Slot::Retrace, retrace_still_surface)
-            .swap(Phase::FitStep, Slot::CameraGradient, align_photographs)
-            .swap(Phase::FitStep, Slot::CameraUpdate, move_cameras);
-    }
-
-    fn cleanup(world: &mut World) {
-        world.remove_resource::<GradientsNeeded>();
-    }
+/// Whether fits optimize cameras: there is a resource that says which parameters. Also a run
+/// condition.
+pub fn cameras_move(world: &World) -> bool {
+    world.get_resource::<CameraUnknowns>().is_some_and(|cameras| *cameras != CameraUnknowns::Given)
 }
 
 /// Gives every view its pose state, without residuals, and the world the state that views share.
-pub(crate) fn attach_poses(world: &mut World) {
+pub(super) fn attach_poses(world: &mut World) {
     world.init_resource::<CameraFit>();
     let mut query = world.query_filtered::<(Entity, &Camera, Option<&CameraPose>), With<ViewName>>();
     let attach = |(view, camera, kept): (Entity, &Camera, Option<&CameraPose>)| {
@@ -244,9 +223,11 @@ pub(crate) fn add_rows(
     Ok(true)
 }
 
-/// Update: every `MOVE_EVERY` steps, one Gauss–Newton step of all cameras; resets the sums.
-pub fn move_cameras(
+/// Update: every `MOVE_EVERY` steps, one Gauss–Newton step of all cameras; resets the sums. If the
+/// object moves as well, only relative corrections between cameras are used.
+pub fn move_cameras<const OBJECT_MOVES: bool>(
     rates: Res<StepRates>,
+    unknowns: Res<CameraUnknowns>,
     mut fit: ResMut<CameraFit>,
     mut views: Query<(&mut Camera, &mut CameraPose)>,
 ) {
@@ -263,13 +244,13 @@ pub fn move_cameras(
     let mut aligned: Vec<AlignedView> = views.iter().map(aligned).collect();
     // There is one focal length for all views. If it is not optimized, it keeps its value from an
     // earlier pass.
-    let (share, from) = match fit.unknowns {
+    let (share, from) = match *unknowns {
         CameraUnknowns::PosesAndFocal => (1.0 / aligned.len() as f64, fit.log_focal),
         _ => (1e30, 0.0),
     };
     aligned.iter_mut().for_each(|view| view.prior.focal *= share);
     let center = fit.center.unwrap_or_default();
-    let (mut steps, mut by_focal) = solve(&aligned, center, !fit.object_moves, from);
+    let (mut steps, mut by_focal) = solve(&aligned, center, !OBJECT_MOVES, from);
     if !(by_focal.is_finite() && steps.iter().flatten().all(|step| step.is_finite())) {
         // Cameras stay where they are, and their sums start again.
         (steps, by_focal) = (vec![[0.0; POSE]; views.len()], 0.0);

@@ -25,7 +25,6 @@ use crate::fit::observe::{observed_in, spawn_samples, usable_by_view, usable_pix
 use crate::fit::{components::TexelSeen, exposure::Exposures, metal::Metals};
 use crate::shade::frame::{add_gathering, add_material_resources, trace_samples};
 use crate::shade::shade_closed_form;
-use crate::visibility::{WindowVisibility, see_material};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World};
 use glam::{Mat2, Mat3, Vec2, Vec3};
 use half::f16;
@@ -65,11 +64,6 @@ const SHADING_PART: f32 = 0.8;
 /// Settings of the solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetailOptions {
-    /// The closed form used for shading.
-    pub form: ClosedForm,
-    /// Whether shading includes shadows and reflections; the world then needs an
-    /// [`ObjectVisibility`](crate::visibility::ObjectVisibility).
-    pub visibility: bool,
     /// Whether the tilt is unknown as well.
     pub tilt: bool,
     /// Whether the first base material may be a metal, beneath which there is no diffuse light
@@ -77,13 +71,14 @@ pub struct DetailOptions {
     pub metal: bool,
 }
 
-/// The systems of [`Phase::Detail`].
-pub struct DetailPlugin(pub DetailOptions);
+/// The systems of [`Phase::Detail`], with accurate closed-form shading, without shadows, until other
+/// systems are put into its slots ([`see_material`](crate::visibility::see_material) into
+/// [`Slot::Visibility`]).
+pub struct DetailPlugin;
 
 impl Plugin for DetailPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline.world.init_resource::<DetailPixels>();
-        pipeline.world.init_resource::<Exposures>();
         add_material_resources::<RecoveredMaterial>(&mut pipeline.world);
         add_gathering::<RecoveredMaterial>(pipeline, Phase::Detail);
         pipeline
@@ -91,17 +86,8 @@ impl Plugin for DetailPlugin {
             .add_systems(Phase::Detail, Stage::Trace, trace_samples)
             .add_systems(Phase::Detail, Stage::Gather, whiten_points.after(GatherPoints))
             .swap(Phase::Detail, Slot::Light, provide_light(LightChoice::Own, false))
-            .swap(Phase::Detail, Slot::Shading, shade_closed_form(self.0.form))
+            .swap(Phase::Detail, Slot::Shading, shade_closed_form(ClosedForm::default()))
             .add_systems(Phase::Detail, Stage::Gradient, keep_pixels);
-        pipeline.world.insert_resource(WindowVisibility::default());
-        if self.0.visibility {
-            pipeline.swap(Phase::Detail, Slot::Visibility, see_material::<RecoveredMaterial>());
-        }
-    }
-
-    fn cleanup(world: &mut World) {
-        world.remove_resource::<DetailPixels>();
-        world.insert_resource(WindowVisibility::default());
     }
 }
 
@@ -124,13 +110,11 @@ pub fn solve_detail(
     options: DetailOptions,
     watch: &mut dyn FnMut(f32),
 ) -> Result<()> {
-    pipeline.add_plugin(&DetailPlugin(options));
     spawn_samples(&mut pipeline.world, BATCH);
     let shaded = shade_pixels(pipeline, &mut |part| watch(SHADING_PART * part));
-    let pixels = std::mem::take(&mut pipeline.world.resource_mut::<DetailPixels>().kept);
+    let pixels = std::mem::take(&mut *pipeline.world.resource_mut::<DetailPixels>()).kept;
     despawn_pool(&mut pipeline.world);
     end_turns(&mut pipeline.world);
-    pipeline.remove_plugin::<DetailPlugin>();
     shaded?;
     let _sweeping = info_span!("sweeps").entered();
     for number in 0..SWEEPS {

@@ -17,7 +17,7 @@
 //! (`docs/research/fit.md`), so the deviations are multiplied by it.
 
 use crate::fit::initialization::{Initialization, Known, extent, traced, with_initialization};
-use crate::fit::{components::Unknowns, loss::radiance, run::FitOptions};
+use crate::fit::{components::Unknowns, loss::radiance};
 use crate::shade::systems::kernel_specular;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
@@ -28,6 +28,7 @@ use lobelia_sg::shading::{ClosedForm, Lighting, LobeColumns, LobeVisibility, Sha
 use lobelia_sg::{fibonacci::fibonacci_axes, sg::sphere_integral, shading::RESPONSE_ROWS};
 use lobelia_world::light::{LightLobe, lights::own_lobes};
 use lobelia_world::material::{SpecularLobe, recovered_albedo, recovered_materials};
+use lobelia_world::pipeline::FitForm;
 use lobelia_world::sample::Observation;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -89,8 +90,8 @@ impl Determined {
 /// Measures it with the observations of a fit, of several groups those of the first, under the
 /// light, albedo and material that the world has now. `None` with several base materials, without
 /// pixels, or where no inverse can be found.
-pub(crate) fn measure(world: &mut World, options: &FitOptions) -> Result<Option<Determined>> {
-    let FitOptions { unknowns, form, visibility: shadowed, .. } = *options;
+pub(crate) fn measure(world: &mut World, unknowns: Unknowns, shadowed: bool) -> Result<Option<Determined>> {
+    let FitForm(form) = *world.resource();
     let materials = recovered_materials(world);
     let [(_, specular)] = materials.as_slice() else { return Ok(None) };
     if !unknowns.light && !unknowns.specular_albedo && !unknowns.roughness {

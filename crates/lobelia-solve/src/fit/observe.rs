@@ -1,7 +1,7 @@
 //! The Prepare phase: every usable foreground pixel of the training views becomes one row of the
 //! pool of observed pixels, traced once. Each step then takes some of them into the samples.
 
-use crate::fit::{components::TexelSeen, groups::groups_of_views};
+use crate::fit::{cameras::cameras_move, components::TexelSeen, groups::groups_of_views};
 use bevy_ecs::prelude::{Query, Res, Resource, With, World};
 use bevy_ecs::system::RunSystemOnce;
 use glam::Vec2;
@@ -72,7 +72,7 @@ pub(super) fn make_pool(pipeline: &mut Pipeline) -> Result<usize> {
 fn pool_holds(world: &mut World) -> bool {
     let cameras = cameras_in_order(world);
     let (choice, scenery) = (*world.resource::<PixelChoice>(), world.resource::<Scenery>().0.clone());
-    let needs_gradients = world.contains_resource::<GradientsNeeded>();
+    let needs_gradients = cameras_move(world);
     let holds = |made: &&PoolMade| {
         let is_seen_alike = made.cameras == cameras && Arc::ptr_eq(&made.scenery, &scenery);
         made.choice == choice && is_seen_alike && (made.gradients || !needs_gradients)
@@ -104,7 +104,7 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
     let scenery = world.resource::<Scenery>().0.clone();
     let made_with = cameras_in_order(world);
     let cameras: ByView<Camera> = made_with.iter().copied().collect();
-    let gradients = world.contains_resource::<GradientsNeeded>();
+    let gradients = cameras_move(world);
     // The point of a pixel's ray, if it meets the front of the surface.
     let trace = |pixel: &PixelOf| -> Result<Option<SurfacePoint>> {
         let ray = cameras.of(pixel.view)?.pixel_ray(pixel.pixel);
@@ -212,7 +212,7 @@ pub fn take_observations(
     missing.into_inner().map_or(Ok(()), |error| Err(error.into()))
 }
 
-/// Sample: takes their gradients, which they have if cameras are to be moved ([`GradientsNeeded`]).
+/// Sample: takes their gradients, which they have if cameras are to be moved.
 pub fn take_gradients(
     taken: Res<ObservedWindow>,
     observed: Pool<ObservationIndex, &'static ObservedGradient>,
@@ -246,10 +246,6 @@ pub struct PixelChoice {
     /// Whether each texel gets its share where `max_pixels` are few for the texels.
     pub evenly: bool,
 }
-
-/// There if each observed pixel is to have its [`ImageGradient`], by which cameras are moved.
-#[derive(Resource, Clone, Copy, Debug, Default)]
-pub struct GradientsNeeded;
 
 /// A training view with a photograph.
 struct ObservedView<'a> {

@@ -17,9 +17,7 @@ use crate::fit::components::{StepRates, Unknowns};
 use crate::fit::initialization::{Initialization, Known, extent, least_rough, with_initialization};
 use crate::shade::systems::{kernel_specular, shade_materials, turned};
 use crate::{fit::exposure::Exposures, fit::loss::radiance, visibility::WindowVisibility};
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, With, World};
-use bevy_ecs::schedule::ScheduleConfigs;
-use bevy_ecs::system::ScheduleSystem;
+use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With, World};
 use glam::{DMat3, DVec3, Mat3, Quat, UVec3, Vec3};
 use lobelia_geometry::Result;
 use lobelia_geometry::error::stop::check_interrupted;
@@ -28,14 +26,14 @@ use lobelia_sg::shading::{
     ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue,
 };
 use lobelia_world::light::LightLobe;
-use lobelia_world::light::light_frame::{LightFrame, turning_axis};
+use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame, turning_axis};
 use lobelia_world::light::lights::{IncidentLight, own_lobes};
 use lobelia_world::light::placement::{
     LightGroup, PlacedFrame, PlacementTurn, Placements, TurnSource, light_from_world,
 };
 use lobelia_world::material::material_source::BaseMaterials;
 use lobelia_world::material::recovered_albedo;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Stage, SystemResult};
+use lobelia_world::pipeline::{FitForm, SystemResult};
 use lobelia_world::sample::pixel::{Observed, PixelOf};
 use lobelia_world::sample::point::PointBlend;
 use lobelia_world::sample::{Observation, Samples};
@@ -92,23 +90,20 @@ impl TurnEquations {
 #[derive(Resource, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct TurnSums(Vec<TurnEquations>);
 
-/// The systems that turn placements whose rotation a fit has found, of an object in a light that
-/// stands still.
-pub struct PlacementPlugin(pub ClosedForm);
-
-impl Plugin for PlacementPlugin {
-    fn build(&self, pipeline: &mut Pipeline) {
-        let is_summed = |rates: Res<StepRates>| rates.visit.is_multiple_of(SUM_EVERY);
-        pipeline
-            .add_systems(Phase::FitStep, Stage::Gradient, sum_turns(self.0).run_if(is_summed))
-            .add_systems(Phase::FitStep, Stage::Update, turn_placements);
-    }
+/// Run condition: whether a fit improves rotations of placements, those that it has found of an
+/// object in a light that stands still.
+pub fn placements_turn(frame: Option<Res<OwnLightFrame>>, placements: Option<Res<Placements>>) -> bool {
+    let is_still = frame.is_none_or(|frame| frame.0 == LightFrame::World);
+    is_still && placements.is_some_and(|of| of.0.iter().any(|turn| turn.source == TurnSource::Found))
 }
 
-/// Whether a fit improves rotations of placements.
-pub(super) fn placements_turn(world: &World) -> bool {
-    let PlacedFrame { frame, placements } = PlacedFrame::own(world);
-    frame == LightFrame::World && placements.0.iter().any(|turn| turn.source == TurnSource::Found)
+/// Run condition: whether this step adds to the [`TurnSums`].
+pub fn turns_are_summed(
+    rates: Res<StepRates>,
+    frame: Option<Res<OwnLightFrame>>,
+    placements: Option<Res<Placements>>,
+) -> bool {
+    rates.visit.is_multiple_of(SUM_EVERY) && placements_turn(frame, placements)
 }
 
 /// The columns that shading and its comparison read.
@@ -120,48 +115,43 @@ type TurnColumns = (
     &'static PixelOf,
 );
 
-/// Gradient: adds the residuals of the window to the normal equations of its placements, shaded
-/// with this closed form.
-pub fn sum_turns(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
-    let system =
-        move |(light, materials, exposures): (Res<IncidentLight>, Res<BaseMaterials>, Res<Exposures>),
-              visibility: Option<Res<WindowVisibility>>,
-              views: Query<(&ViewIndex, &Placement), With<Photograph>>,
-              mut sums: ResMut<TurnSums>,
-              samples: Samples<TurnColumns>|
-              -> SystemResult {
-            let (points, blends, seen, (shaded, observed), pixels) = samples.columns()?;
-            let visibility = visibility.as_ref().and_then(|visibility| visibility.view(&seen));
-            let lighting = Lighting { lobes: &light.lobes, visibility };
-            let shade = |points: &[ShadePoint]| {
-                let mut shaded = vec![Layers::default(); points.len()];
-                shade_materials(form, points, &blends, &materials, lighting, &mut shaded);
-                shaded
-            };
-            let derivatives = derivatives(&points, &shade);
-            let placements: ByView<Placement> = views.iter().map(|(view, of)| (*view, *of)).collect();
-            let residual =
-                |i: usize| observed[i].differences(exposures.factor(pixels[i].view) * radiance(&shaded[i]));
-            let residuals: Vec<Vec3> = (0..points.len()).map(residual).collect();
-            let sizes = residuals.iter().map(|residual| f64::from(residual.abs().element_sum()));
-            let noise = ((sizes.sum::<f64>() / (3 * residuals.len()).max(1) as f64) as f32).max(1e-6);
-            for (i, residual) in residuals.iter().enumerate() {
-                let number = placements.of(pixels[i].view)?.0 as usize;
-                let count = sums.0.len().max(number + 1);
-                sums.0.resize(count, TurnEquations::default());
-                let factor = exposures.factor(pixels[i].view);
-                for c in 0..3 {
-                    let jacobian =
-                        DVec3::from_array([0, 1, 2].map(|k| f64::from(factor[c] * derivatives[k][i][c])));
-                    let weight = 1.0 / (noise * residual[c].abs().max(noise));
-                    if jacobian.is_finite() && residual[c] != 0.0 {
-                        sums.0[number].add(jacobian, f64::from(residual[c]), f64::from(weight));
-                    }
-                }
+/// Gradient: adds the residuals of the window to the normal equations of its placements.
+pub fn sum_turns(
+    (light, materials, exposures): (Res<IncidentLight>, Res<BaseMaterials>, Res<Exposures>),
+    (form, visibility): (Res<FitForm>, Option<Res<WindowVisibility>>),
+    views: Query<(&ViewIndex, &Placement), With<Photograph>>,
+    mut sums: ResMut<TurnSums>,
+    samples: Samples<TurnColumns>,
+) -> SystemResult {
+    let (points, blends, seen, (shaded, observed), pixels) = samples.columns()?;
+    let visibility = visibility.as_ref().and_then(|visibility| visibility.view(&seen));
+    let lighting = Lighting { lobes: &light.lobes, visibility };
+    let shade = |points: &[ShadePoint]| {
+        let mut shaded = vec![Layers::default(); points.len()];
+        shade_materials(form.0, points, &blends, &materials, lighting, &mut shaded);
+        shaded
+    };
+    let derivatives = derivatives(&points, &shade);
+    let placements: ByView<Placement> = views.iter().map(|(view, of)| (*view, *of)).collect();
+    let residual =
+        |i: usize| observed[i].differences(exposures.factor(pixels[i].view) * radiance(&shaded[i]));
+    let residuals: Vec<Vec3> = (0..points.len()).map(residual).collect();
+    let sizes = residuals.iter().map(|residual| f64::from(residual.abs().element_sum()));
+    let noise = ((sizes.sum::<f64>() / (3 * residuals.len()).max(1) as f64) as f32).max(1e-6);
+    for (i, residual) in residuals.iter().enumerate() {
+        let number = placements.of(pixels[i].view)?.0 as usize;
+        let count = sums.0.len().max(number + 1);
+        sums.0.resize(count, TurnEquations::default());
+        let factor = exposures.factor(pixels[i].view);
+        for c in 0..3 {
+            let jacobian = DVec3::from_array([0, 1, 2].map(|k| f64::from(factor[c] * derivatives[k][i][c])));
+            let weight = 1.0 / (noise * residual[c].abs().max(noise));
+            if jacobian.is_finite() && residual[c] != 0.0 {
+                sums.0[number].add(jacobian, f64::from(residual[c]), f64::from(weight));
             }
-            Ok(())
-        };
-    system.into_configs()
+        }
+    }
+    Ok(())
 }
 
 /// Derivatives of the radiance of points by a rotation about each axis, in radiance per radian.

@@ -11,9 +11,8 @@
 //! Normals pull a surface that moves: the loss of a pixel is the weight times Huber's function of n
 //! − n′, with the normal n and that of the map n′.
 
-use crate::fit::guard::{check_adjoints, step_is_sound};
 use crate::fit::{components::TexelSeen, scale::ScaleRule};
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, Resource, With, World};
+use bevy_ecs::prelude::{Query, Res, Resource, With, World};
 use glam::{DVec3, Vec3};
 use lobelia_geometry::Result;
 use lobelia_geometry::view::{AlbedoMap, ByView, NormalMap, PriorMap, ViewIndex};
@@ -21,11 +20,10 @@ use lobelia_sg::ray::TexelAddress;
 use lobelia_sg::shading::PointAdjoint;
 use lobelia_world::material::{TexelIndex, USUAL_ALBEDO};
 use lobelia_world::pipeline::pool::read_column;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
 use lobelia_world::sample::pixel::PixelOf;
 use lobelia_world::sample::point::SurfacePoint;
 use lobelia_world::sample::{Observation, ObservationIndex, Samples};
-use lobelia_world::{material::diffuse::write_albedo, pipeline::ScatterAdjoints};
+use lobelia_world::{material::diffuse::write_albedo, pipeline::SystemResult};
 
 /// Rounds of the mean on each texel and the factor of each map.
 const ROUNDS: usize = 4;
@@ -35,26 +33,9 @@ const SQUARE_BELOW: f32 = 0.1;
 const MOST_ALBEDO: f32 = 0.85;
 const BRIGHTEST: usize = 98;
 
-/// Weight ≥ 0 of the maps of normals, relative to the image loss.
+/// Weight ≥ 0 of the maps of normals, relative to the image loss; without it they do not pull.
 #[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
 pub struct NormalWeight(pub f32);
-
-/// The pull toward maps of normals, with this weight.
-pub struct NormalMapPlugin(pub NormalWeight);
-
-impl Plugin for NormalMapPlugin {
-    fn build(&self, pipeline: &mut Pipeline) {
-        pipeline.world.insert_resource(self.0);
-        // After a bad value all adjoints are zero, and are to remain so.
-        let pull = pull_to_normal_maps.run_if(step_is_sound);
-        let pull = pull.after(check_adjoints).before(ScatterAdjoints).before(Slot::ShapeGradient);
-        pipeline.add_systems(Phase::FitStep, Stage::Gradient, pull);
-    }
-
-    fn cleanup(world: &mut World) {
-        world.remove_resource::<NormalWeight>();
-    }
-}
 
 /// Gradient: adds the adjoints of the terms of the normals in the loss to those of the samples.
 pub fn pull_to_normal_maps(

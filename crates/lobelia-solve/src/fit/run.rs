@@ -3,7 +3,7 @@
 //! Rates fall at the milestones, and before the first one a step visits fewer pixels. While rates
 //! are high the noise of few pixels does no harm; later it would stay in the albedo.
 
-use crate::fit::cameras::{CameraFit, CameraPose};
+use crate::fit::cameras::{CameraFit, CameraPose, attach_poses, cameras_move};
 use crate::fit::components::{
     AlbedoGradient, AlbedoMoments, LobeMoments, LossState, SpecularMoments, StepGradient, StepRates,
     TexelSeen, Unknowns,
@@ -14,11 +14,15 @@ use crate::fit::groups::{StepPixels, Turns, end_turns, lights_of_views};
 use crate::fit::guard::{
     StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound,
 };
+use crate::fit::initialization::initialize_light_and_albedo;
 use crate::fit::loss::{Loss, LossSums, ViewSums, count_pool, sum_by_view};
 use crate::fit::observe::{
     PixelChoice, make_pool, release_pool, spawn_samples, take_observations, trace_pixels,
 };
-use crate::fit::placements::{PlacementPlugin, TurnSums, find_placements, placements_turn};
+use crate::fit::placements::{
+    TurnSums, find_placements, placements_turn, sum_turns, turn_placements, turns_are_summed,
+};
+use crate::fit::priors::{NormalWeight, follow_maps, pull_to_normal_maps};
 use crate::fit::roughness::{
     BlendGradient, BlendMoments, RoughnessMoments, TexelPlaces, TexelRoughness, move_blends, move_roughness,
     scatter_to_blends, tie_specular,
@@ -30,20 +34,21 @@ use crate::fit::sheen::{
 };
 use crate::fit::start::{FramesTried, find_start};
 use crate::fit::systems::{
-    compare_with_photographs, move_lobes, move_specular, move_texels, pull_back_radiance, scatter_to_texels,
+    closed_form_shader, compare_with_photographs, move_lobes, move_specular, move_texels, scatter_to_texels,
 };
-use crate::fit::{metal::bound_diffuse_albedo, priors::follow_maps};
+use crate::fit::{detail::DetailPlugin, metal::bound_diffuse_albedo};
 use crate::shade::frame::{add_gathering, add_material_resources};
-use crate::visibility::{ObjectVisibility, RefreshDue, WindowVisibility, see_material_of_step};
-use crate::{fit::initialization::initialize_light_and_albedo, shade::shade_closed_form};
-use bevy_ecs::prelude::{Entity, IntoScheduleConfigs, Resource, With, World};
+use crate::visibility::{ObjectVisibility, RefreshDue};
+use bevy_ecs::prelude::{
+    Entity, IntoScheduleConfigs, Resource, SystemCondition, With, World, resource_exists,
+};
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
 use bevy_ecs::{prelude::Bundle, query::QueryFilter};
 use glam::Vec3;
-use lobelia_geometry::Result;
 use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
+use lobelia_geometry::{Error, Result};
 use lobelia_sg::shading::ClosedForm;
 use lobelia_world::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_resource};
 use lobelia_world::light::LightLobe;
@@ -51,11 +56,11 @@ use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::light::lights::{LightChoice, provide_light};
 use lobelia_world::light::placement::{GroupInTurn, Placements};
 use lobelia_world::light::{groups::FittedLobe, lobes_in_use};
-use lobelia_world::material::material_source::{PlainBlends, RecoveredMaterial};
+use lobelia_world::material::material_source::RecoveredMaterial;
 use lobelia_world::material::{BaseMaterial, Diffuse, SpecularBlend, SpecularLobe, TexelIndex};
 use lobelia_world::material::{diffuse::has_tilt, first_material, texels_in_order};
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage};
-use lobelia_world::pipeline::{ScatterAdjoints, pool::with_columns};
+use lobelia_world::pipeline::pool::with_columns;
+use lobelia_world::pipeline::{FitForm, Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
 use lobelia_world::sample::{ObservedWindow, despawn_pool, pixel::Window};
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
@@ -67,8 +72,6 @@ use tracing::info_span;
 pub struct FitOptions {
     /// The loss that is minimized.
     pub loss: Loss,
-    /// The closed form used for shading.
-    pub form: ClosedForm,
     /// Update steps, those of an earlier part included.
     pub steps: u32,
     /// Work of an earlier part of the fit: this one goes on with its moments.
@@ -92,9 +95,6 @@ pub struct FitOptions {
     pub keeps_pool: bool,
     /// Unknowns initialized from the data before the first step.
     pub initialize: Initialize,
-    /// Whether shading includes shadows and reflections; the world then needs an
-    /// [`ObjectVisibility`].
-    pub visibility: bool,
     /// Whether the fit decides by itself if the surface has a sheen.
     pub looks_for_sheen: bool,
     /// Whether photographs have exposures of their own.
@@ -109,11 +109,10 @@ pub struct FitOptions {
 }
 
 impl Default for FitOptions {
-    /// All of light and material but blends are unknown; 300 steps of 1024 pixels, without shadows.
+    /// All of light and material but blends are unknown; 300 steps of 1024 pixels.
     fn default() -> Self {
         Self {
             loss: Loss::default(),
-            form: ClosedForm::default(),
             steps: 300,
             done: Done::default(),
             batch: 1024,
@@ -125,7 +124,6 @@ impl Default for FitOptions {
             pixels: PixelChoice { seed: 0, max_pixels: 2_000_000, evenly: false },
             keeps_pool: false,
             initialize: Initialize::ALL,
-            visibility: false,
             looks_for_sheen: false,
             exposure: ExposureChoice::Equal,
             measures: false,
@@ -222,76 +220,50 @@ pub struct FitSummary {
     pub determined: Option<Determined>,
 }
 
-/// The fit's systems: Adam on texels, light lobes and the specular lobe, with closed-form shading.
+/// The fit's systems: Adam on texels, light lobes and the specular lobe, with accurate closed-form
+/// shading, without shadows, until another shader is put in ([`Pipeline::set_shader`]) and
+/// [`see_material_of_step`](crate::visibility::see_material_of_step) into [`Slot::Visibility`].
 pub struct FitPlugin;
 
 impl Plugin for FitPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
-        OWN_RESOURCES.iter().for_each(|own| own(&mut pipeline.world, true));
-        add_material_resources::<RecoveredMaterial>(&mut pipeline.world);
-        pipeline.add_systems(Phase::Prepare, Stage::Trace, trace_pixels);
+        let world = &mut pipeline.world;
+        world.init_resource::<ObservedWindow>();
+        world.init_resource::<StepGradient>();
+        world.init_resource::<TexelPlaces>();
+        world.init_resource::<ScaleMoments>();
+        world.init_resource::<TurnSums>();
+        world.init_resource::<Exposures>();
+        world.init_resource::<StepGuard>();
+        world.init_resource::<ViewSums>();
+        world.init_resource::<RecentSums>();
+        keep_state(world);
+        add_material_resources::<RecoveredMaterial>(world);
+        add_gathering::<RecoveredMaterial>(pipeline, Phase::FitStep);
         let exposures = find_exposures.run_if(step_is_sound);
         let residuals = (note_residuals, sum_by_view).chain().run_if(step_is_sound);
         let loss = (check_shading, exposures, compare_with_photographs, check_loss, residuals);
         let scatter = (scatter_to_texels, scatter_to_sheen, scatter_to_blends);
-        let check = check_adjoints.after(Slot::ShadingAdjoint).before(ScatterAdjoints);
-        // A run replaces the systems that shade by those of its closed form.
+        // After a bad value all adjoints are zero, and are to remain so.
+        let pull = pull_to_normal_maps.run_if(resource_exists::<NormalWeight>.and_then(step_is_sound));
+        let adjoints = (check_adjoints, pull).chain().after(Slot::ShadingAdjoint).before(ScatterAdjoints);
         pipeline
+            .add_systems(Phase::Prepare, Stage::Trace, trace_pixels)
             .add_systems(Phase::FitStep, Stage::Sample, take_observations)
             .swap(Phase::FitStep, Slot::Light, provide_light(LightChoice::Own, false))
-            .swap(Phase::FitStep, Slot::Shading, shade_closed_form(ClosedForm::default()))
-            .swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(ClosedForm::default()))
+            .set_shader(Phase::FitStep, closed_form_shader(ClosedForm::default()))
             .add_systems(Phase::FitStep, Stage::Loss, loss.chain())
+            .add_systems(Phase::FitStep, Stage::Gradient, adjoints)
             .add_systems(Phase::FitStep, Stage::Gradient, scatter.chain().in_set(ScatterAdjoints))
+            .add_systems(Phase::FitStep, Stage::Gradient, sum_turns.run_if(turns_are_summed))
             .swap(Phase::FitStep, Slot::Optimizer, optimizer())
             .add_systems(Phase::FitStep, Stage::Update, follow_known.after(Slot::Optimizer))
-            .add_systems(Phase::FitStep, Stage::Gradient, check);
+            .add_systems(Phase::FitStep, Stage::Update, turn_placements.run_if(placements_turn))
+            .add_plugin(&DetailPlugin);
         // Also what other plugins put into these stages is left out, shapes and cameras.
         for stage in [Stage::Gradient, Stage::Update] {
             pipeline.configure_sets(Phase::FitStep, stage.run_if(step_is_sound));
         }
-        add_gathering::<RecoveredMaterial>(pipeline, Phase::FitStep);
-        keep_state(&mut pipeline.world);
-    }
-
-    fn cleanup(world: &mut World) {
-        OWN_RESOURCES.iter().for_each(|own| own(world, false));
-        world.remove_resource::<PlainBlends<RecoveredMaterial>>();
-        // Those of a run.
-        world.remove_resource::<LossState>();
-        world.remove_resource::<StepRates>();
-        world.remove_resource::<Unknowns>();
-        world.remove_resource::<PixelChoice>();
-        world.remove_resource::<ScaleRule>();
-        world.remove_resource::<RefreshDue>();
-        world.remove_resource::<FramesTried>();
-        world.remove_resource::<SheenEvidence>();
-        type OfTexel = (AlbedoGradient, TexelSeen, SheenGradient, BlendGradient);
-        remove_from::<With<TexelIndex>, (OfTexel, AlbedoMoments, SheenMoments, BlendMoments)>(world);
-        remove_from::<With<LightLobe>, LobeMoments>(world);
-        remove_from::<With<SpecularLobe>, SpecularMoments>(world);
-    }
-}
-
-/// Resources that the plugin brings.
-const OWN_RESOURCES: [fn(&mut World, bool); 9] = [
-    own::<ObservedWindow>,
-    own::<StepGradient>,
-    own::<TexelPlaces>,
-    own::<ScaleMoments>,
-    own::<TurnSums>,
-    own::<Exposures>,
-    own::<StepGuard>,
-    own::<ViewSums>,
-    own::<RecentSums>,
-];
-
-/// Gives the world a resource, or takes it away.
-fn own<R: Resource + Default>(world: &mut World, is_there: bool) {
-    if is_there {
-        world.init_resource::<R>();
-    } else {
-        world.remove_resource::<R>();
     }
 }
 
@@ -299,7 +271,7 @@ fn own<R: Resource + Default>(world: &mut World, is_there: bool) {
 /// fit.
 ///
 /// # Errors
-/// If there is nothing to fit to, or a system fails;
+/// If there is nothing to fit to, the shader has no adjoint, or a system fails;
 /// [`Error::Interrupted`](lobelia_geometry::Error::Interrupted) if the run is stopped before the
 /// first step.
 pub fn run_fit(
@@ -326,12 +298,8 @@ fn fit(
     watch: &mut dyn FnMut(&FitProgress, &mut World) -> ControlFlow<()>,
 ) -> Result<FitSummary> {
     let start = Instant::now();
-    let pixels = prepare(pipeline, options)?;
+    let (pixels, shadowed) = prepare(pipeline, options)?;
     let _steps = info_span!("steps").entered();
-    pipeline.remove_plugin::<PlacementPlugin>();
-    if placements_turn(&pipeline.world) {
-        pipeline.add_plugin(&PlacementPlugin(options.form));
-    }
     let (done, before) = (options.done.steps, options.done.secs);
     let elapsed = || before + start.elapsed().as_secs_f64();
     let mut summary = FitSummary { steps: done, pixels, elapsed_secs: before, ..FitSummary::default() };
@@ -376,7 +344,7 @@ fn fit(
     let is_whole = summary.steps >= options.steps && !is_stopping();
     if options.measures && is_whole && !world.resource::<Exposures>().are_unknown() {
         let _measuring = info_span!("determined").entered();
-        summary.determined = measure(world, options)?;
+        summary.determined = measure(world, options.unknowns, shadowed)?;
     }
     summary.elapsed_secs = elapsed();
     Ok(summary)
@@ -393,11 +361,19 @@ fn refresh_every(world: &World) -> u32 {
 }
 
 /// Gives a world the settings of a fit and its unknowns their gradients and moments, makes the pool
-/// and initializes; returns the number of pixels.
-fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
+/// and initializes; returns the number of pixels, and whether there are shadows.
+fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<(usize, bool)> {
     let _preparing = info_span!("prepared").entered();
+    if !pipeline.is_filled(Phase::FitStep, Slot::ShadingAdjoint) {
+        let help = "Put in one that has, with `Pipeline::set_shader` and `Shader::with_adjoint`.";
+        return Err(Error::usage("the shader of the fit has no adjoint", help));
+    }
+    let has_shadows = pipeline.is_filled(Phase::FitStep, Slot::Visibility);
     let world = &mut pipeline.world;
     let begins = options.done.steps == 0;
+    if cameras_move(world) {
+        attach_poses(world);
+    }
     attach(world, options.unknowns.sheen || (options.looks_for_sheen && options.unknowns.albedo), begins);
     world.insert_resource(options.pixels);
     world.insert_resource(options.unknowns);
@@ -422,27 +398,20 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     }
     world.insert_resource(options.scale);
     world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
-    pipeline.swap(Phase::FitStep, Slot::Shading, shade_closed_form(options.form));
-    pipeline.swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(options.form));
     let pixels = make_pool(pipeline)?;
-    let shadowed = options.visibility && pipeline.world.contains_resource::<ObjectVisibility>();
-    pipeline.clear(Phase::FitStep, Slot::Visibility);
-    pipeline.world.insert_resource(WindowVisibility::default());
-    if shadowed {
-        pipeline.swap(Phase::FitStep, Slot::Visibility, see_material_of_step());
-    }
+    let shadowed = has_shadows && pipeline.world.contains_resource::<ObjectVisibility>();
     if !options.done.is_pause {
         count_pool(&mut pipeline.world);
         pipeline.world.insert_resource(RecentSums::default());
     }
     initialize(&mut pipeline.world, options, shadowed)?;
     spawn_samples(&mut pipeline.world, options.batch.clamp(1, pixels));
-    Ok(pixels)
+    Ok((pixels, shadowed))
 }
 
 /// Initializes the unknowns from the data.
 fn initialize(world: &mut World, options: &FitOptions, shadowed: bool) -> Result<()> {
-    let initialize = options.initialize;
+    let (initialize, FitForm(form)) = (options.initialize, *world.resource());
     let unknowns = Unknowns {
         light: options.unknowns.light && initialize.light,
         albedo: options.unknowns.albedo && initialize.albedo,
@@ -452,9 +421,9 @@ fn initialize(world: &mut World, options: &FitOptions, shadowed: bool) -> Result
         world.insert_resource(OwnLightFrame(frame));
     }
     let finds_frame = options.light_frame.is_none() && unknowns.light;
-    find_start(world, finds_frame, initialize.specular, unknowns, options.form)?;
+    find_start(world, finds_frame, initialize.specular, unknowns, form)?;
     if options.done.steps == 0 {
-        find_placements(world, unknowns, options.form)?;
+        find_placements(world, unknowns, form)?;
     }
     let _initializing = info_span!("initialization").entered();
     let both = unknowns.light && unknowns.albedo;
@@ -463,7 +432,7 @@ fn initialize(world: &mut World, options: &FitOptions, shadowed: bool) -> Result
     let from_maps = keeps && follow_maps(world, unknowns.metal, both)?;
     // Light is solved for under the albedo of the maps, which alternation would leave again.
     let solved = Unknowns { albedo: unknowns.albedo && !(from_maps && both), ..unknowns };
-    initialize_light_and_albedo(world, solved, options.form, shadowed)?;
+    initialize_light_and_albedo(world, solved, form, shadowed)?;
     if both && !from_maps {
         start_scale(world, options.scale)?;
     }
@@ -560,13 +529,6 @@ fn give<G: Bundle + Clone, M: Bundle + Clone>(
 /// The entities that a filter selects.
 pub(crate) fn entities<F: QueryFilter>(world: &mut World) -> Vec<Entity> {
     world.query_filtered::<Entity, F>().iter(world).collect()
-}
-
-/// Takes components from the entities that a filter selects.
-pub(super) fn remove_from<F: QueryFilter, T: Bundle>(world: &mut World) {
-    for entity in entities::<F>(world) {
-        world.entity_mut(entity).remove::<T>();
-    }
 }
 
 #[cfg(test)]

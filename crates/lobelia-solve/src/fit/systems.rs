@@ -10,7 +10,7 @@ use crate::fit::components::{
 use crate::fit::metal::{DIELECTRIC_ALBEDO, is_dielectric};
 use crate::fit::{exposure::Exposures, loss::image_loss, roughness::PerMaterial};
 use crate::shade::device::{ShadingDevice, failed, loops_of};
-use crate::shade::systems::{Showing, kernel_materials};
+use crate::shade::systems::{Showing, kernel_materials, shade_closed_form};
 use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut};
 use bevy_ecs::schedule::ScheduleConfigs;
@@ -25,7 +25,7 @@ use lobelia_world::light::LightLobe;
 use lobelia_world::light::lights::IncidentLight;
 use lobelia_world::material::material_source::BaseMaterials;
 use lobelia_world::material::{BaseMaterial, Diffuse, SpecularLobe, Texels};
-use lobelia_world::pipeline::SystemResult;
+use lobelia_world::pipeline::{Shader, SystemResult};
 use lobelia_world::sample::pixel::{Observed, PixelOf};
 use lobelia_world::sample::point::{PointBlend, SurfacePoint};
 use lobelia_world::sample::{LightRotations, Samples};
@@ -59,6 +59,11 @@ type PullBackColumns = (
     &'static PixelOf,
     &'static mut PointAdjoint,
 );
+
+/// The shader of a closed form.
+pub fn closed_form_shader(form: ClosedForm) -> Shader {
+    Shader { form, ..Shader::new(shade_closed_form(form)).with_adjoint(pull_back_radiance(form)) }
+}
 
 /// For [`Slot::ShadingAdjoint`](lobelia_world::pipeline::Slot::ShadingAdjoint): propagates radiance
 /// adjoints back through this closed form, to the samples and to light and material.

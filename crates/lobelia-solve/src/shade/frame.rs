@@ -24,6 +24,7 @@
 //! ```
 
 use super::systems::{gather_blends, gather_points, shade_closed_form};
+use crate::visibility::{WindowVisibility, forget_window};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, With, World};
 use glam::Vec3;
 use lobelia_geometry::error::stop::check_interrupted;
@@ -163,10 +164,6 @@ impl Plugin for FramePlugin {
             .add_systems(Phase::Frame, Stage::Resolve, resolve_pixels);
         add_gathering::<ShownMaterial>(pipeline, Phase::Frame);
     }
-
-    fn cleanup(world: &mut World) {
-        world.remove_resource::<PlainBlends<ShownMaterial>>();
-    }
 }
 
 /// Inserts the resources that the Gather stage writes.
@@ -175,14 +172,15 @@ pub fn add_material_resources<M: MaterialSource>(world: &mut World) {
     world.init_resource::<IncidentLight>();
     world.init_resource::<BaseMaterials>();
     world.init_resource::<PlainBlends<M>>();
+    world.init_resource::<WindowVisibility>();
 }
 
 /// Adds the systems of [`GatherPoints`]: base materials, albedo and blends of a material at the
-/// points of the window.
+/// points of the window, of which no visibility is known yet.
 pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
     let materials =
         (note_plain_blends::<M>.run_if(blends_changed::<M>), gather_materials::<M>, gather_blends::<M>);
-    pipeline.add_systems(phase, Stage::Gather, gather_points::<M>.in_set(GatherPoints));
+    pipeline.add_systems(phase, Stage::Gather, (forget_window, gather_points::<M>).in_set(GatherPoints));
     pipeline.add_systems(phase, Stage::Gather, materials.chain().in_set(GatherPoints));
 }
 

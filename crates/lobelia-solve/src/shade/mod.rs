@@ -8,6 +8,9 @@
 //! | [`shade_closed_form`] | Shade, `Slot::Shading` | gathered points, light, base materials, visibility | [`Layers`](lobelia_sg::shading::Layers) |
 //! | [`shade_path_traced`] | Shade, `Slot::Shading` | the same, [`Scenery`](lobelia_world::sample::point::Scenery) | the same |
 //!
+//! A fit also needs the adjoint of what shades:
+//! [`closed_form_shader`](crate::fit::systems::closed_form_shader).
+//!
 //! The other systems of the Gather stage: [`material::shown`](lobelia_world::material::shown) in
 //! `Slot::Material`, [`light::lights`](lobelia_world::light::lights) in `Slot::Light`,
 //! [`visibility`](crate::visibility) in `Slot::Visibility`.

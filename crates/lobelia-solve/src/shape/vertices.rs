@@ -12,14 +12,14 @@ use crate::fit::guard::{StepGuard, is_usable};
 use crate::shape::shell::{Shell, VertexGraph, by_axis, pull_back_unit};
 use crate::shape::systems::{OUTLIER, root_mean_square};
 use crate::{fit::components::StepRates, shape::outline::OutlineGuide, shape::silhouette::Silhouette};
-use bevy_ecs::prelude::{Res, ResMut, Resource, World};
+use bevy_ecs::prelude::{Res, ResMut, Resource};
 use glam::Vec3;
 use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_geometry::mesh::triangles::Mesh;
 use lobelia_geometry::mesh::{Surface, bvh::TriangleHit};
 use lobelia_geometry::parallel;
 use lobelia_sg::shading::PointAdjoint;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
+use lobelia_world::pipeline::SystemResult;
 use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::ViewRay;
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
@@ -41,7 +41,8 @@ const WIDE: f32 = 200.0;
 const REACH: f32 = 0.2;
 /// Decay factor of the running mean, per move.
 const MEAN_DECAY: f32 = 0.8;
-/// The mesh that moves.
+
+/// The mesh whose vertices fits optimize while it is in the world.
 #[derive(Resource)]
 pub struct MovingMesh {
     /// The current surface.
@@ -63,42 +64,24 @@ pub struct MovingMesh {
     steps: u32,
 }
 
-/// The systems that optimize the vertices of a mesh during a fit.
-pub struct VertexPlugin {
-    /// The given mesh.
-    pub surface: Arc<Surface>,
-    /// Steps of the fit.
-    pub steps: u32,
-    /// The training masks, by [`Silhouette::new`], whose outlines the contours of the mesh are to
-    /// meet; may be empty.
-    pub silhouettes: Arc<[Silhouette]>,
-}
-
-impl Plugin for VertexPlugin {
-    fn build(&self, pipeline: &mut Pipeline) {
-        let shell = Shell::new(self.surface.mesh());
-        let masks = Some(self.silhouettes.clone()).filter(|masks| !masks.is_empty());
-        let guide = |masks| OutlineGuide::new(&shell, &TriangleBvh::new(self.surface.mesh()), masks);
-        let outlines = masks.map(guide);
-        pipeline.world.insert_resource(MovingMesh {
-            surface: self.surface.clone(),
+impl MovingMesh {
+    /// A given mesh, before a fit of so many `steps`. The contours are to meet the outlines of
+    /// `masks`, the training masks by [`Silhouette::new`]; there may be none.
+    pub fn new(surface: Arc<Surface>, steps: u32, masks: Vec<Silhouette>) -> Self {
+        let shell = Shell::new(surface.mesh());
+        let guide = |masks| OutlineGuide::new(&shell, &TriangleBvh::new(surface.mesh()), masks);
+        let outlines = (!masks.is_empty()).then(|| guide(masks.into()));
+        Self {
             start: shell.positions.clone(),
             positions: shell.positions.clone(),
             adjoint: vec![Vec3::ZERO; shell.positions.len()],
             moments: vec![0.0; shell.positions.len()],
+            surface,
             shell,
             outlines,
             found: Vec::new(),
-            steps: self.steps,
-        });
-        pipeline
-            .swap(Phase::FitStep, Slot::Retrace, retrace_vertices)
-            .swap(Phase::FitStep, Slot::ShapeGradient, pull_back_to_vertices)
-            .swap(Phase::FitStep, Slot::ShapeUpdate, move_vertices);
-    }
-
-    fn cleanup(world: &mut World) {
-        world.remove_resource::<MovingMesh>();
+            steps,
+        }
     }
 }
 

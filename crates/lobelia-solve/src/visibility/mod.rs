@@ -1,8 +1,9 @@
 //! Shadows and interreflection in closed-form shading: occlusion by other parts of the object, and
 //! light that they reflect.
 //!
-//! A separate capability in [`Slot::Visibility`];
-//! without it all light reaches every point.
+//! They are there in a phase whose [`Slot::Visibility`](lobelia_world::pipeline::Slot::Visibility)
+//! is filled ([`see_material`], [`see_material_of_step`]), if the world has an
+//! [`ObjectVisibility`]; else all light reaches every point.
 //!
 //! | module | holds |
 //! | --- | --- |
@@ -40,7 +41,7 @@ mod point_visibility;
 pub mod texel_visibility;
 
 use bevy_ecs::prelude::{
-    Changed, IntoScheduleConfigs, Or, Query, Res, ResMut, Resource, SystemCondition, World,
+    Changed, IntoScheduleConfigs, Or, Query, Res, ResMut, Resource, SystemCondition, resource_exists,
 };
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
@@ -49,10 +50,10 @@ use lobelia_world::light::LightLobe;
 use lobelia_world::light::lights::IncidentLight;
 use lobelia_world::light::placement::{GroupInTurn, LightGroup};
 use lobelia_world::material::material_source::{
-    BaseMaterials, ColumnOf, Holds, MaterialSource, RecoveredMaterial, ShownMaterial, TexelColumns,
+    BaseMaterials, ColumnOf, Holds, MaterialSource, RecoveredMaterial, TexelColumns,
 };
 use lobelia_world::material::{Diffuse, SpecularBlend, SpecularLobe, Texels};
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
+use lobelia_world::pipeline::SystemResult;
 use lobelia_world::sample::pixel::{PixelOf, ViewRay};
 use lobelia_world::sample::point::{PointBlend, Scenery, SurfacePoint};
 use lobelia_world::sample::{LightRotations, Samples};
@@ -67,37 +68,31 @@ pub use point_visibility::LobeRays;
 #[derive(Resource, Clone, Copy, Debug)]
 pub struct RefreshDue(pub bool);
 
-/// Shadows and interreflection of the shown material in the Frame phase; needs an
+/// For [`Slot::Visibility`](lobelia_world::pipeline::Slot::Visibility): shadows and interreflection
+/// of a material, updated whenever it or the light has changed, if there is an
 /// [`ObjectVisibility`].
-pub struct FrameVisibilityPlugin;
-
-impl Plugin for FrameVisibilityPlugin {
-    fn build(&self, pipeline: &mut Pipeline) {
-        pipeline.world.init_resource::<WindowVisibility>();
-        pipeline.swap(Phase::Frame, Slot::Visibility, see_material::<ShownMaterial>());
-    }
-
-    fn cleanup(world: &mut World) {
-        world.insert_resource(WindowVisibility::default());
-    }
-}
-
-/// Shadows and interreflection of a material, updated whenever it or the light has changed.
-pub(crate) fn see_material<M: MaterialSource>() -> ScheduleConfigs<ScheduleSystem> {
+pub fn see_material<M: MaterialSource>() -> ScheduleConfigs<ScheduleSystem> {
     let refresh = refresh_visibility::<M>.run_if(light_or_material_changed::<M>);
-    (refresh, gather_visibility::<false>).chain()
+    (refresh, gather_visibility::<false>).chain().distributive_run_if(resource_exists::<ObjectVisibility>)
 }
 
-/// Shadows and interreflection of the recovered material in a step of a fit, updated if
-/// [`RefreshDue`] is set; needs an [`ObjectVisibility`].
-pub(crate) fn see_material_of_step() -> ScheduleConfigs<ScheduleSystem> {
+/// [`see_material`] for the recovered material in a step of a fit, updated if [`RefreshDue`] is set.
+pub fn see_material_of_step() -> ScheduleConfigs<ScheduleSystem> {
     let is_due = refresh_is_due.and_then(light_or_material_changed::<RecoveredMaterial>);
-    (take_turn, refresh_visibility::<RecoveredMaterial>.run_if(is_due), gather_visibility::<true>).chain()
+    let refresh = refresh_visibility::<RecoveredMaterial>.run_if(is_due);
+    let systems = (take_turn, refresh, gather_visibility::<true>).chain();
+    systems.distributive_run_if(resource_exists::<ObjectVisibility>)
 }
 
 /// Gather: takes up the shadows and interreflection of the [`GroupInTurn`].
 fn take_turn(in_turn: Option<Res<GroupInTurn>>, mut object: ResMut<ObjectVisibility>) {
     object.turn_to(in_turn.map_or(LightGroup::OWN, |turn| turn.0));
+}
+
+/// Gather: forgets the visibility of the window before, for all light reaches points of which
+/// nothing else is found.
+pub fn forget_window(mut out: ResMut<WindowVisibility>) {
+    out.stride = 0;
 }
 
 /// Run condition: whether this step of a fit updates visibility, or the set of lobes has changed.

@@ -325,7 +325,8 @@ fn distinct_turns(turns: &[Option<Mat3>]) -> (Vec<Mat3>, Vec<usize>) {
 #[derive(Resource, Default)]
 pub struct WindowVisibility {
     rows: Vec<u8>,
-    stride: usize,
+    /// Values of a point; 0 while nothing is known of this window.
+    pub(super) stride: usize,
 }
 
 impl WindowVisibility {

@@ -2,9 +2,9 @@
 //! access to pools of entities as slices, and propagation of errors to the caller.
 //!
 //! A [`Pipeline`] is a [`World`] with one schedule for each [`Phase`]; a phase runs its [`Stage`]s
-//! in order. A capability is a [`Plugin`] whose `build` adds all its systems; it can be removed
-//! again. A system with alternatives is in a [`Slot`]: [`Pipeline::swap`] replaces it by another
-//! system, between runs.
+//! in order. A capability is a [`Plugin`] whose `build` adds all its systems, once and for good;
+//! those that are needed only sometimes have a run condition. A system with alternatives is in a
+//! [`Slot`]: [`Pipeline::swap`] replaces it by another system, between runs.
 //!
 //! A phase is a schedule, a stage is an ordered set in it, a slot is a set for one exchangeable
 //! system. Phases are open: any [`ScheduleLabel`] can be one ([`Pipeline::add_phase`]). The
@@ -35,12 +35,13 @@ mod tests;
 
 use crate::material::shown::mark_material_changed;
 use bevy_ecs::error::{BevyError, ErrorContext, FallbackErrorHandler};
-use bevy_ecs::prelude::{IntoScheduleConfigs, Schedule, Schedules, SystemSet, World};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Resource, Schedule, Schedules, SystemSet, World};
 use bevy_ecs::schedule::{
-    InternedScheduleLabel, InternedSystemSet, ScheduleCleanupPolicy, ScheduleLabel, SingleThreadedExecutor,
+    InternedSystemSet, ScheduleCleanupPolicy, ScheduleConfigs, ScheduleLabel, SingleThreadedExecutor,
 };
 use bevy_ecs::system::ScheduleSystem;
 use lobelia_geometry::{Error, Result};
+use lobelia_sg::shading::ClosedForm;
 use std::{any::TypeId, cell::RefCell, collections::HashSet};
 
 /// The stages of a phase, in the order they run.
@@ -81,7 +82,8 @@ pub enum Phase {
     Frame,
 }
 
-/// A set for one exchangeable system (or chain of systems), inside a stage.
+/// A set for one exchangeable system (or chain of systems, or several of which run conditions choose
+/// one), inside a stage.
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Slot {
     /// The shown material: the recovered one, edited or unchanged (in [`Stage::Gather`], first).
@@ -149,21 +151,38 @@ pub struct ScatterAdjoints;
 pub trait Plugin: 'static {
     /// Adds every system, set and resource of the capability.
     fn build(&self, pipeline: &mut Pipeline);
+}
 
-    /// Removes from the world what `build` inserted, after the systems are removed.
-    fn cleanup(_world: &mut World)
-    where
-        Self: Sized,
-    {
+/// A shader: the system that shades, and its adjoint, which a fit needs.
+pub struct Shader {
+    /// Writes the radiance of samples, for [`Slot::Shading`].
+    pub forward: ScheduleConfigs<ScheduleSystem>,
+    /// Pulls the adjoint of radiance back to samples, light and material, for
+    /// [`Slot::ShadingAdjoint`].
+    pub adjoint: Option<ScheduleConfigs<ScheduleSystem>>,
+    /// The closed form that it is, or that is nearest to it: a fit needs one beside its steps, as
+    /// where it initializes.
+    pub form: ClosedForm,
+}
+
+impl Shader {
+    /// A shader without adjoint, for pictures.
+    pub fn new<M>(forward: impl IntoScheduleConfigs<ScheduleSystem, M>) -> Self {
+        Self { forward: forward.into_configs(), adjoint: None, form: ClosedForm::default() }
+    }
+
+    /// The shader with an adjoint, for fits.
+    pub fn with_adjoint<M>(self, adjoint: impl IntoScheduleConfigs<ScheduleSystem, M>) -> Self {
+        Self { adjoint: Some(adjoint.into_configs()), ..self }
     }
 }
 
+/// [`Shader::form`] of the shader in [`Phase::FitStep`].
+#[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
+pub struct FitForm(pub ClosedForm);
+
 /// The return type of a fallible system; `?` converts the crate's [`Error`].
 pub type SystemResult = std::result::Result<(), BevyError>;
-
-/// The set of all systems of a plugin, by the type of the plugin.
-#[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
-struct AddedBy(TypeId);
 
 thread_local! {
     /// The first error of the innermost run on this thread. bevy's error handler is a function
@@ -188,9 +207,7 @@ fn nothing_failed() -> bool {
 pub struct Pipeline {
     /// All entities, components, resources and schedules.
     pub world: World,
-    /// The plugin that is being built.
-    building: Option<TypeId>,
-    /// The plugins that were added and not removed.
+    /// The plugins that were added.
     plugins: HashSet<TypeId>,
 }
 
@@ -203,7 +220,7 @@ impl Default for Pipeline {
 impl Pipeline {
     /// A pipeline with an empty world and the built-in phases, without systems.
     pub fn new() -> Self {
-        let mut pipeline = Self { world: World::new(), building: None, plugins: HashSet::new() };
+        let mut pipeline = Self { world: World::new(), plugins: HashSet::new() };
         for phase in [Phase::Prepare, Phase::FitStep, Phase::Detail, Phase::Compose, Phase::Frame] {
             pipeline.add_phase(phase);
         }
@@ -230,30 +247,12 @@ impl Pipeline {
         self
     }
 
-    /// Builds a plugin into the pipeline. One of the same type that is there already is removed
-    /// first, so that no system runs twice.
+    /// Builds a plugin into the pipeline, unless one of its type is there already: no system runs
+    /// twice.
     pub fn add_plugin<P: Plugin>(&mut self, plugin: &P) -> &mut Self {
-        let own = TypeId::of::<P>();
-        if !self.plugins.insert(own) {
-            self.remove_plugin::<P>().plugins.insert(own);
+        if self.plugins.insert(TypeId::of::<P>()) {
+            plugin.build(self);
         }
-        let outer = self.building.replace(own);
-        plugin.build(self);
-        self.building = outer;
-        self
-    }
-
-    /// Removes every system that a plugin of this type has added, then runs [`Plugin::cleanup`].
-    /// Slots that it filled are empty afterward; plugins that it added stay.
-    pub fn remove_plugin<P: Plugin>(&mut self) -> &mut Self {
-        let own = TypeId::of::<P>();
-        let schedules = self.world.resource::<Schedules>();
-        let phases: Vec<InternedScheduleLabel> = schedules.iter().map(|(_, s)| s.label()).collect();
-        for phase in phases {
-            self.clear(phase, AddedBy(own));
-        }
-        self.plugins.remove(&own);
-        P::cleanup(&mut self.world);
         self
     }
 
@@ -267,17 +266,12 @@ impl Pipeline {
         stage: Stage,
         systems: impl IntoScheduleConfigs<ScheduleSystem, M>,
     ) -> &mut Self {
-        let mut systems = systems.in_set(stage);
-        if let Some(plugin) = self.building {
-            systems = systems.in_set(AddedBy(plugin));
-        }
-        self.schedule(phase).add_systems(systems.distributive_run_if(nothing_failed));
+        self.schedule(phase).add_systems(systems.in_set(stage).distributive_run_if(nothing_failed));
         self
     }
 
     /// Configures sets of a phase, such as a run condition of a stage. `bevy_ecs` loses conditions
-    /// that are added to a set which has some, after a run; and a condition stays when the plugin
-    /// that gave it is removed.
+    /// that are added to a set which has some, after a run.
     ///
     /// # Panics
     /// If there is no such phase.
@@ -296,7 +290,8 @@ impl Pipeline {
         schedule.unwrap_or_else(|| panic!("there is no phase {label:?}: add it with add_phase"))
     }
 
-    /// Puts `system` into `slot` and removes the previous system.
+    /// Puts `system` into `slot` and removes the previous system, and with that of
+    /// [`Slot::Shading`] its adjoint.
     pub fn swap<M>(
         &mut self,
         phase: impl ScheduleLabel,
@@ -304,7 +299,35 @@ impl Pipeline {
         system: impl IntoScheduleConfigs<ScheduleSystem, M>,
     ) -> &mut Self {
         let phase = phase.intern();
+        if slot == Slot::Shading {
+            self.clear(phase, Slot::ShadingAdjoint);
+        }
         self.clear(phase, slot).add_systems(phase, slot.stage(), system.in_set(slot))
+    }
+
+    /// Puts a shader into [`Slot::Shading`] and, in a step of a fit, its adjoint into
+    /// [`Slot::ShadingAdjoint`].
+    pub fn set_shader(&mut self, phase: impl ScheduleLabel, shader: Shader) -> &mut Self {
+        let phase = phase.intern();
+        self.swap(phase, Slot::Shading, shader.forward);
+        if phase == Phase::FitStep.intern() {
+            self.world.insert_resource(FitForm(shader.form));
+            if let Some(adjoint) = shader.adjoint {
+                self.swap(phase, Slot::ShadingAdjoint, adjoint);
+            }
+        }
+        self
+    }
+
+    /// Whether there is a system in a slot, or in another set.
+    pub fn is_filled(&mut self, phase: impl ScheduleLabel, set: impl SystemSet) -> bool {
+        let set = set.intern();
+        let found = self.world.try_schedule_scope(phase, |world, schedule| {
+            // The graph must be built before systems can be found.
+            let is_built = schedule.initialize(world).is_ok();
+            is_built && schedule.graph().systems_in_set(set).is_ok_and(|systems| !systems.is_empty())
+        });
+        found.unwrap_or(false)
     }
 
     /// Removes the system in a slot, or all systems of another set.

@@ -150,36 +150,42 @@ fn own_systems_go_before_and_after_every_built_in_set() -> Result<()> {
     Ok(())
 }
 
-/// A capability with a resource, in two phases.
+/// A capability in two phases.
 struct Capability;
-
-#[derive(Resource)]
-struct State;
 
 impl Plugin for Capability {
     fn build(&self, pipeline: &mut Pipeline) {
-        pipeline.world.insert_resource(State);
         pipeline.add_systems(Phase::Frame, Stage::Loss, say("loss"));
         pipeline.swap(Phase::FitStep, Slot::Shading, say("fit"));
-    }
-
-    fn cleanup(world: &mut World) {
-        world.remove_resource::<State>();
     }
 }
 
 #[test]
-fn a_plugin_is_removed_again_with_what_it_brought_and_replaces_one_of_its_type() -> Result<()> {
+fn a_plugin_is_built_once() -> Result<()> {
     let mut pipeline = pipeline();
-    pipeline.add_plugin(&Capability).add_plugin(&Capability);
+    pipeline.add_plugin(&Capability).swap(Phase::FitStep, Slot::Shading, say("otherwise"));
+    pipeline.add_plugin(&Capability);
     pipeline.run(Phase::Frame)?;
     pipeline.run(Phase::FitStep)?;
-    assert_eq!(trail(&mut pipeline), "sample shade loss write fit");
-    pipeline.remove_plugin::<Capability>();
-    assert!(!pipeline.world.contains_resource::<State>());
+    assert_eq!(trail(&mut pipeline), "sample shade loss write otherwise");
+    Ok(())
+}
+
+#[test]
+fn a_shader_is_put_in_with_its_adjoint_and_goes_with_it() -> Result<()> {
+    let mut pipeline = pipeline();
+    let form = ClosedForm::Published;
+    let shader = || Shader { form, ..Shader::new(say("shade")).with_adjoint(say("pull back")) };
+    pipeline.set_shader(Phase::Frame, shader()).set_shader(Phase::FitStep, shader());
     pipeline.run(Phase::Frame)?;
     pipeline.run(Phase::FitStep)?;
-    assert_eq!(trail(&mut pipeline), "sample shade write");
+    assert_eq!(trail(&mut pipeline), "sample shade write shade pull back");
+    assert_eq!(*pipeline.world.resource::<FitForm>(), FitForm(form));
+    pipeline.swap(Phase::FitStep, Slot::Shading, say("otherwise"));
+    assert!(pipeline.is_filled(Phase::FitStep, Slot::Shading));
+    assert!(!pipeline.is_filled(Phase::FitStep, Slot::ShadingAdjoint));
+    pipeline.run(Phase::FitStep)?;
+    assert_eq!(trail(&mut pipeline), "otherwise");
     Ok(())
 }
 

@@ -2,8 +2,11 @@
 //! grids. Then the surface that was found is brought closer to the photographs: by masks, neighbors
 //! and reflections.
 
-use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
+use crate::fit::cameras::{
+    CameraUnknowns, align_photographs, cameras_move, move_cameras, retrace_still_surface,
+};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
+use crate::fit::observe::take_gradients;
 use crate::fit::run::{FitOptions, FitProgress, Initialize, entities, run_fit};
 use crate::shape::field::{ErrorRows, ModelError, SdfField};
 use crate::shape::hollows::{HULL_SHARE, LEVEL_SHARE, carve_hollows, keep_empty, look_through};
@@ -17,8 +20,9 @@ use crate::shape::systems::{
     recast_silhouettes, retrace_window, smooth_gradient, sum_model_error,
 };
 use crate::shape::unseen::{SPANNED_CELLS, span_unseen};
+use crate::shape::vertices::{MovingMesh, move_vertices, pull_back_to_vertices, retrace_vertices};
 use crate::{fit::exposure::Exposures, fit::light_turns, shape::pictures::TrainingView};
-use bevy_ecs::prelude::{IntoScheduleConfigs, Resource, With, World};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Resource, SystemCondition, With, World, not, resource_exists};
 use glam::Vec3;
 use lobelia_geometry::error::stop::{check_interrupted, is_stopping};
 use lobelia_geometry::mesh::triangles::Mesh;
@@ -37,7 +41,7 @@ use lobelia_world::material::{
     recovered_materials, spawn_texels,
 };
 use lobelia_world::pipeline::pool::despawn_rows;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot};
+use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage};
 use lobelia_world::sample::point::Scenery;
 use rand::{SeedableRng, rngs::SmallRng, seq::SliceRandom};
 use serde::{Deserialize, Serialize};
@@ -79,26 +83,32 @@ pub struct ShapeOptions {
     pub spans_unseen: bool,
 }
 
-/// The systems that fit a shape; removing the plugin removes them.
-struct ShapePlugin {
-    /// Whether cameras are aligned as well, with photographs and masks.
-    cameras: bool,
-}
+/// What moves the geometry during a fit: a field, the vertices of a mesh or cameras, as long as the
+/// world has an [`SdfField`], a [`MovingMesh`] or [`CameraUnknowns`].
+pub struct GeometryPlugin;
 
-impl Plugin for ShapePlugin {
+impl Plugin for GeometryPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
-        let adjoints = (sum_model_error, pull_back_to_field, pull_back_silhouettes).chain();
-        let gradients = (adjoints, smooth_gradient).chain();
+        let (field, mesh) = (resource_exists::<SdfField>, resource_exists::<MovingMesh>);
+        let cameras_alone = || cameras_move.and_then(not(field));
+        let still = retrace_still_surface.run_if(cameras_alone().and_then(not(mesh)));
+        let adjoints = (sum_model_error, pull_back_to_field, pull_back_silhouettes, smooth_gradient).chain();
+        let of_field = adjoints.distributive_run_if(field);
+        let silhouettes = || cameras_move.and_then(field);
+        let align = (align_photographs.run_if(cameras_move), align_silhouettes.run_if(silhouettes()));
+        let with_object = move_cameras::<true>.run_if(silhouettes());
+        let alone = move_cameras::<false>.run_if(cameras_alone());
+        let retrace = (retrace_window.run_if(field), retrace_vertices.run_if(mesh), still);
+        let gradient = (of_field, pull_back_to_vertices.run_if(mesh));
+        let update = (move_bricks.run_if(field), move_vertices.run_if(mesh));
         pipeline
-            .swap(Phase::FitStep, Slot::Retrace, retrace_window)
-            .swap(Phase::FitStep, Slot::ShapeGradient, gradients)
-            .swap(Phase::FitStep, Slot::ShapeUpdate, move_bricks);
-        if self.cameras {
-            let align = (align_photographs, align_silhouettes).chain();
-            pipeline.swap(Phase::FitStep, Slot::Recast, recast_silhouettes);
-            pipeline.swap(Phase::FitStep, Slot::CameraGradient, align);
-            pipeline.world.resource_mut::<CameraFit>().object_moves = true;
-        }
+            .add_systems(Phase::FitStep, Stage::Sample, take_gradients.run_if(cameras_move))
+            .swap(Phase::FitStep, Slot::Recast, recast_silhouettes.run_if(silhouettes()))
+            .swap(Phase::FitStep, Slot::Retrace, retrace)
+            .swap(Phase::FitStep, Slot::ShapeGradient, gradient)
+            .swap(Phase::FitStep, Slot::ShapeUpdate, update)
+            .swap(Phase::FitStep, Slot::CameraGradient, align.chain())
+            .swap(Phase::FitStep, Slot::CameraUpdate, (with_object, alone));
     }
 }
 
@@ -185,14 +195,11 @@ pub fn fit_shape(
     }
     check_interrupted()?;
     world.insert_resource(SilhouetteSamples(samples));
-    let cameras = options.cameras != CameraUnknowns::Given;
-    if cameras {
-        pipeline.add_plugin(&CameraPlugin(options.cameras));
-    }
-    pipeline.add_plugin(&ShapePlugin { cameras });
+    world.insert_resource(options.cameras);
+    pipeline.add_plugin(&GeometryPlugin);
     let found = fit_levels(pipeline, (hull, empty), report, &mut silhouettes, options, watch);
-    pipeline.remove_plugin::<ShapePlugin>().remove_plugin::<CameraPlugin>();
     pipeline.world.remove_resource::<SilhouetteSamples>();
+    pipeline.world.remove_resource::<CameraUnknowns>();
     found
 }
 
@@ -291,9 +298,6 @@ fn begin_levels(
         }
         return Ok((index as usize, surface));
     }
-    if options.cameras != CameraUnknowns::Given {
-        attach_poses(world);
-    }
     hull.redistance();
     let first = with_texels(world, hull, empty, &options.levels[0], None);
     Ok((0, keep_level(world, 0, first, None)?))
@@ -324,9 +328,6 @@ fn next_surface(
     options: &ShapeOptions,
     index: usize,
 ) -> Result<(SdfSurface, f32)> {
-    if options.cameras != CameraUnknowns::Given {
-        attach_poses(world);
-    }
     let mut views = world.query_filtered::<(&ViewIndex, &Camera), With<Photograph>>();
     let cameras: ByView<Camera> = views.iter(world).map(|(index, camera)| (*index, *camera)).collect();
     for silhouette in silhouettes.iter_mut() {

@@ -138,7 +138,7 @@ fn shading_carves_a_dent_that_no_silhouette_shows() {
 }
 
 #[test]
-fn the_systems_leave_when_the_fit_ends() {
+fn the_geometry_stands_still_when_the_fit_has_ended() {
     let mut pipeline = world_of_photographs();
     let stop_at_once = &mut |_: &ShapeProgress, _: &mut World| ControlFlow::Break(());
     fit_shape(&mut pipeline, &options(50), stop_at_once).unwrap();
