@@ -331,7 +331,7 @@ fn fit(
             steps: options.steps,
             sums: recent.iter().fold(LossSums::default(), |a, b| a.merged(*b)),
             specular: first_material(world),
-            lobes: lobes_in_use(world.query::<&LightLobe>().iter(world)),
+            lobes: lobes_in_use(world.query_filtered::<&LightLobe, FittedLobe>().iter(world)),
             elapsed_secs: elapsed(),
         };
         summary.stopped = watch(&progress, world).is_break();
