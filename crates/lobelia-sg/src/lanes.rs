@@ -157,22 +157,24 @@ impl<S: Simd> Lanes<S> {
     }
 }
 
-/// `$body` with `$simd` the token of the best instruction set that this machine has.
+/// `$body` with `$simd` the token of the best instruction set that this machine has, or that `$level`
+/// names.
 ///
-/// Like the macro of this name in fearless_simd, but without SSE4.2, where the kernels do the same
+/// Like the macro of this name in fearless_simd, but without SSE4.2, where kernels do the same
 /// operations as with SSE2.
+#[macro_export]
 macro_rules! dispatch {
-    ($simd:ident => $body:expr) => {{
-        let level = fearless_simd::Level::new();
+    ($level:expr, $simd:pat => $body:expr) => {{
+        let level: fearless_simd::Level = $level;
         #[cfg(target_arch = "x86_64")]
         {
             if let Some(token) = level.as_avx512() {
-                $crate::lanes::with_token!(token, $simd => $body)
+                $crate::with_token!(token, $simd => $body)
             } else if let Some(token) = level.as_avx2() {
-                $crate::lanes::with_token!(token, $simd => $body)
+                $crate::with_token!(token, $simd => $body)
             } else {
                 let token = level.as_sse2().expect("every x86-64 has SSE2");
-                $crate::lanes::with_token!(token, $simd => $body)
+                $crate::with_token!(token, $simd => $body)
             }
         }
         #[cfg(not(target_arch = "x86_64"))]
@@ -180,23 +182,26 @@ macro_rules! dispatch {
             fearless_simd::dispatch!(level, $simd => $body)
         }
     }};
+    ($simd:pat => $body:expr) => {
+        $crate::dispatch!(fearless_simd::Level::new(), $simd => $body)
+    };
 }
-pub(crate) use dispatch;
 
 /// `$body` compiled with the instructions of `$token`.
 #[cfg(target_arch = "x86_64")]
+#[doc(hidden)]
+#[macro_export]
 macro_rules! with_token {
-    ($token:expr, $simd:ident => $body:expr) => {{
-        let $simd = $token;
+    ($token:expr, $simd:pat => $body:expr) => {{
+        let token = $token;
+        let $simd = token;
         fearless_simd::Simd::vectorize(
-            $simd,
+            token,
             #[inline(always)]
             || $body,
         )
     }};
 }
-#[cfg(target_arch = "x86_64")]
-pub(crate) use with_token;
 
 /// The instruction set that kernels choose on this machine.
 pub fn level_name() -> &'static str {

@@ -12,8 +12,9 @@
 //! assert!((x[0] - 1.5).abs() < 1e-12 && (x[1] - 2.0).abs() < 1e-12);
 //! ```
 
+use crate::dispatch;
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch, f64x8};
+use fearless_simd::{Level, f64x8};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -210,7 +211,7 @@ pub fn descend_nonnegative(matrix: &[f64], x: &mut [f64], gradient: &mut [f64], 
             }
             let gain = -step * (gradient[k] + 0.5 * step * row[k]);
             x[k] += step;
-            dispatch!(Level::new(), _simd => add_multiple(gradient, row, step));
+            dispatch!(_simd => add_multiple(gradient, row, step));
             best = best.max(gain);
             gained += gain;
         }

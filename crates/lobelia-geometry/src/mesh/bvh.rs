@@ -28,8 +28,9 @@ use crate::mesh::triangles::Mesh;
 use crate::mesh::wide_bvh::{
     BoxCorners, BoxRay, BoxRays, Each, Leaf, LeafVisitor, ROUNDING, WIDTH, WideBvh, inverse,
 };
-use fearless_simd::{Level, Simd, dispatch, f32x8, f32x16, prelude::*};
+use fearless_simd::{Level, Simd, f32x8, f32x16, prelude::*};
 use glam::{Vec3, Vec3A};
+use lobelia_sg::dispatch;
 use lobelia_sg::ray::Ray;
 use obvhs::{
     BvhBuildParams, aabb::Aabb, bvh2::Bvh2, bvh2::reinsertion::ReinsertionOptimizer, ploc::PlocBuilder,

@@ -1,10 +1,11 @@
 //! Distant light that can be evaluated and sampled: an environment map, and a set of SG lobes.
 
+use crate::dispatch;
 use crate::lanes::{Lanes, MAX_LANES};
 use crate::light::{EnvironmentMap, LightLobe};
 use crate::ray::{Illuminate, LightSample};
 use crate::{color::luminance, real::Real, sg};
-use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd::Simd;
 use glam::{DVec3, Mat3, Vec3};
 use std::{f64::consts::PI, sync::Arc};
 
@@ -217,7 +218,7 @@ fn radiance_of<S: Simd>(simd: S, columns: &[Vec<f32>; 7], direction: Vec3) -> Ve
 
 impl Illuminate for LobeLight {
     fn radiance(&self, direction: Vec3) -> Vec3 {
-        dispatch!(Level::new(), simd => radiance_of(simd, &self.columns, direction))
+        dispatch!(simd => radiance_of(simd, &self.columns, direction))
     }
 
     /// The first number selects the lobe, the second the angle to its axis, the third the angle

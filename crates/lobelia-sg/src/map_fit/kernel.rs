@@ -5,7 +5,8 @@
 //! it is below e⁻¹⁶. Tiles are processed in parallel and their sums added in a fixed order, so
 //! results do not depend on the number of threads.
 
-use fearless_simd::{Level, Simd, dispatch};
+use crate::dispatch;
+use fearless_simd::Simd;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -299,7 +300,7 @@ pub fn residuals(tiles: &[Tile], lobes: &[FitLobe]) -> Vec<TileValues> {
     let reaches = reaches(lobes);
     let of_tile = |tile: &Tile| {
         let reached: Vec<usize> = (0..lobes.len()).filter(|&k| reaches[k].meets(tile)).collect();
-        dispatch!(Level::new(), simd => tile.residual(simd, lobes, &reached, &mut Vec::new()))
+        dispatch!(simd => tile.residual(simd, lobes, &reached, &mut Vec::new()))
     };
     tiles.par_iter().map(of_tile).collect()
 }
@@ -310,7 +311,7 @@ pub fn derivatives(tiles: &[Tile], lobes: &[FitLobe]) -> Derivatives {
     let group = tiles.len().div_ceil(GROUPS).max(1);
     let parts: Vec<(f64, Vec<Moments>)> = tiles
         .par_chunks(group)
-        .map(|tiles| dispatch!(Level::new(), simd => derivatives_of_group(simd, tiles, lobes, &reaches)))
+        .map(|tiles| dispatch!(simd => derivatives_of_group(simd, tiles, lobes, &reaches)))
         .collect();
     let mut error = 0.0;
     let mut moments = vec![[[0.0; 4]; 3]; lobes.len()];

@@ -1,6 +1,7 @@
 //! Placement of new lobes: the directions and sharpnesses that lower the error most, one at a time.
 
-use fearless_simd::{Level as SimdLevel, Simd, dispatch};
+use crate::dispatch;
+use fearless_simd::Simd;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -86,7 +87,7 @@ fn candidates(levels: &[Level], lobes: &[FitLobe], bounds: LobeBounds) -> Vec<Ca
         let allowed = |axis: &glam::Vec3| !bounds.upper_only || axis.y >= 0.0;
         let at = |axis: glam::Vec3| {
             let lobe = FitLobe::new(axis.as_dvec3(), sharpness, [0.0; 3]);
-            dispatch!(SimdLevel::new(), simd => candidate(simd, level, &residuals[index], &lobe))
+            dispatch!(simd => candidate(simd, level, &residuals[index], &lobe))
         };
         candidates.par_extend(axes.into_par_iter().filter(allowed).map(at));
     }

@@ -147,7 +147,7 @@ pub fn cosine_integral<F: Real>(sharpness: F, terms: &SharpnessTerms<F>, c: F) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{lanes::Lanes, lanes::dispatch, published::integral::cosine_integral as as_published};
+    use crate::{dispatch, lanes::Lanes, published::integral::cosine_integral as as_published};
     use fearless_simd::Simd;
 
     /// Sharpness from the bound upward, and cosines over the whole sphere, many of them near the

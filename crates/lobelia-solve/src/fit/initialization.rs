@@ -11,7 +11,6 @@ use crate::shade::systems::{kernel_specular, turned};
 use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
 use bevy_ecs::prelude::{With, World};
 use bevy_ecs::system::SystemState;
-use fearless_simd::{Level, dispatch};
 use glam::{DVec3, Mat3, Vec3};
 use lobelia_geometry::error::stop::check_interrupted;
 use lobelia_geometry::parallel;
@@ -425,7 +424,7 @@ fn normal_equations(rows: &[Rows], channel: usize, n: usize) -> (Vec<f64>, Vec<f
             let (responses, targets) = (&responses[channel], &targets[channel]);
             let own = &responses[tile * targets.len()..][..targets.len()];
             for (other, responses) in responses.chunks_exact(targets.len()).take(tile + 1).enumerate() {
-                let products = dispatch!(Level::new(), _simd => tile_products(own, responses));
+                let products = lobelia_sg::dispatch!(_simd => tile_products(own, responses));
                 for (line, products) in lines.chunks_exact_mut(n).zip(&products) {
                     let sums = line[other * TILE..].iter_mut().zip(products);
                     sums.for_each(|(sum, product)| *sum += f64::from(*product));

@@ -6,7 +6,6 @@ use crate::visibility::point_visibility::{
 };
 use crate::visibility::texel_visibility::TexelVisibility;
 use bevy_ecs::prelude::{Entity, Resource};
-use fearless_simd::{Level, dispatch};
 use glam::{Mat3, Vec3};
 use lobelia_geometry::mesh::Surface;
 use lobelia_geometry::parallel;
@@ -231,7 +230,7 @@ impl ObjectVisibility {
                 Some(of_rows) => {
                     let rows = blend.map(|(row, _)| &of_rows[row * self.stride..][..self.stride]);
                     let weights = mix_weights(&blend);
-                    dispatch!(Level::new(), _simd => mix_parts(rows, weights, parts));
+                    lobelia_sg::dispatch!(_simd => mix_parts(rows, weights, parts));
                 }
                 None => {
                     let nearest = blend.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(row, _)| *row);
@@ -346,7 +345,7 @@ mod tests {
         let rows: [Vec<u8>; 4] = std::array::from_fn(|k| (0..37).map(|i| (i * 7 + k * 60) as u8).collect());
         let weights = [120, 80, 56, 0];
         let mut mixed = [0; 37];
-        dispatch!(Level::new(), _simd => mix_parts(rows.each_ref().map(Vec::as_slice), weights, &mut mixed));
+        lobelia_sg::dispatch!(_simd => mix_parts(rows.each_ref().map(Vec::as_slice), weights, &mut mixed));
         for (i, mixed) in mixed.into_iter().enumerate() {
             let mean: u32 = (0..4).map(|k| u32::from(rows[k][i]) * u32::from(weights[k])).sum();
             assert_eq!(u32::from(mixed), mean / 256);

@@ -7,7 +7,7 @@
 //! two directions.
 
 use crate::visibility::texel_visibility::{TOGETHER, TexelVisibility};
-use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd::Simd;
 use glam::{Mat3, Vec3};
 use lobelia_geometry::parallel;
 use lobelia_sg::lanes::{Lanes, MAX_LANES, Row};
@@ -124,7 +124,7 @@ impl Sky {
     /// Radiance of the lobes around a direction, convolved with a Gaussian of this sharpness (well
     /// above 1).
     pub fn toward(&self, direction: Vec3, sharpness: f32) -> Vec3 {
-        dispatch!(Level::new(), simd => light_toward(simd, &self.narrow, direction, sharpness))
+        lobelia_sg::dispatch!(simd => light_toward(simd, &self.narrow, direction, sharpness))
     }
 
     pub fn radiance(&self, direction: usize) -> Vec3 {
@@ -211,7 +211,7 @@ pub(crate) fn light_chunk(
         behind.hidden.extend(visibility.hidden(row).map(|(d, _)| (d as u32, cell * cosine(d))));
         behind.ends.push(behind.hidden.len());
     }
-    dispatch!(Level::new(), simd => light_all(simd, sky, &visibility.normals[rows], behind, parts));
+    lobelia_sg::dispatch!(simd => light_all(simd, sky, &visibility.normals[rows], behind, parts));
     for (direct, light) in direct.iter_mut().zip(&behind.irradiance) {
         *direct = Vec3::from_array(light.map(|row| row.0.iter().sum()));
     }

@@ -7,7 +7,7 @@
 
 use crate::visibility::occlusion::{Bounce, Cones, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe, widened};
 use crate::visibility::texel_visibility::{MAX_DIRECTIONS, OFFSET, TOGETHER, TexelVisibility};
-use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd::Simd;
 use glam::{Mat3, Vec3};
 use lobelia_sg::ray::Intersect;
 use lobelia_sg::real::{Real, dot};
@@ -138,7 +138,7 @@ impl Surroundings<'_> {
         let sharpness = widened(narrow, visibility.directions.len() as f32 / 2.0);
         let least = 1.0 - MIRROR_REACH / sharpness;
         let mut near = [0; MAX_DIRECTIONS / 64];
-        dispatch!(Level::new(), simd => directions_near(simd, sky, axis, least, &mut near));
+        lobelia_sg::dispatch!(simd => directions_near(simd, sky, axis, least, &mut near));
         let rows = blend.iter().filter(|(_, part)| *part > 0.0);
         if !rows.clone().any(|(row, _)| visibility.hides_any(*row, &near)) {
             return None;
@@ -148,7 +148,7 @@ impl Surroundings<'_> {
         }
         let (vectors, lobe, mut weights) = ([axis, normal], [sharpness, least], [0.0; MAX_DIRECTIONS]);
         let unhidden =
-            dispatch!(Level::new(), simd => weigh_directions(simd, sky, vectors, lobe, &near, &mut weights));
+            lobelia_sg::dispatch!(simd => weigh_directions(simd, sky, vectors, lobe, &near, &mut weights));
         let arriving = rows.fold(unhidden, |arriving, (row, part)| {
             // A back face sends nothing.
             let sent = |hider: u32| bounce.leaving.get(hider as usize).copied().unwrap_or(Vec3::ZERO);
@@ -448,7 +448,7 @@ mod tests {
             for (i, axis) in fibonacci_axes(60).into_iter().enumerate() {
                 let least = [0.99, 0.9, 0.3, -0.4, -0.98, -1.5][i % 6];
                 let mut near = [0; MAX_DIRECTIONS / 64];
-                dispatch!(Level::new(), simd => directions_near(simd, &sky, axis, least, &mut near));
+                lobelia_sg::dispatch!(simd => directions_near(simd, &sky, axis, least, &mut near));
                 for (d, direction) in directions.iter().enumerate() {
                     let cosine = direction.dot(axis);
                     let is_near = near[d / 64] >> (d % 64) & 1 == 1;
