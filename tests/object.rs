@@ -108,8 +108,10 @@ fn an_unknown_surface_is_found() {
         ShapePass { levels: vec![level], stereo: false, normals: false, batch: 1024, ..Default::default() };
     let options = ReconstructOptions { shape: Some(shape), ..options() };
     let mut object = Object::reconstruct(&CAPTURE.train(), &options).unwrap();
-    let (center, radius) = object.surface().bounding_sphere();
-    assert!(center.length() < 0.1 && (radius - 0.8).abs() < 0.08, "{center} {radius}");
+    let surface = object.surface();
+    let radii: Vec<f32> = surface.mesh().positions.iter().map(|at| at.length()).collect();
+    let mean = radii.iter().sum::<f32>() / radii.len() as f32;
+    assert!((mean - 0.8).abs() < 0.05, "{mean}");
     assert!(object.render(CAPTURE[0].camera).unwrap().alpha.contains(&1.0));
 }
 

@@ -47,13 +47,9 @@ pub struct Appearance<'a> {
 impl Drop for Appearance<'_> {
     fn drop(&mut self) {
         if self.is_in {
-            let own = provide_light(LightChoice::Own, false);
             let pipeline = &mut self.object.pipeline;
-            pipeline.swap(Phase::Compose, Slot::Material, show_recovered()).swap(
-                Phase::Frame,
-                Slot::Light,
-                own,
-            );
+            pipeline.swap(Phase::Compose, Slot::Material, show_recovered());
+            pipeline.swap(Phase::Compose, Slot::Light, provide_light(LightChoice::Own, false));
             set_shading(pipeline, &RenderSettings::default(), 0);
         }
     }
