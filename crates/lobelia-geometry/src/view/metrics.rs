@@ -18,8 +18,7 @@
 //! # Ok::<(), lobelia_geometry::Error>(())
 //! ```
 
-use crate::parallel;
-use crate::{Error, Result, view::raster::FULL_COVERAGE};
+use crate::{Error, Result, parallel, view::raster::FULL_COVERAGE};
 use glam::{DVec3, Vec3};
 use std::ops::Range;
 

@@ -20,16 +20,13 @@ use crate::fit::guard::{StepGuard, is_usable};
 use crate::fit::{components::StepRates, exposure::Exposures, loss::radiance};
 use bevy_ecs::prelude::{Component, Entity, Mut, Query, Res, ResMut, Resource, With, World};
 use glam::{Affine3A, Quat, Vec2, Vec3};
-use lobelia_geometry::Result;
-use lobelia_geometry::parallel;
 use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex, ViewName};
+use lobelia_geometry::{Result, parallel};
 use lobelia_sg::linear::{cholesky, solve_factored};
-use lobelia_sg::ray::Intersect;
-use lobelia_sg::shading::Layers;
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::Samples;
+use lobelia_sg::{ray::Intersect, shading::Layers};
 use lobelia_world::sample::pixel::{ImageGradient, Observed, PixelOf, ViewRay};
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
+use lobelia_world::{pipeline::SystemResult, sample::Samples};
 use serde::{Deserialize, Serialize};
 
 /// Steps between two moves of the cameras; their normal equations are summed over these.

@@ -14,13 +14,10 @@
 use crate::fit::components::{AdamStep, Bounded, Moments, StepGradient, StepRates, Unknowns};
 use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
 use glam::{UVec3, Vec3};
-use lobelia_geometry::mesh::atlas::TexelAtlas;
-use lobelia_geometry::parallel;
-use lobelia_world::material::material_source::BaseMaterials;
+use lobelia_geometry::{mesh::atlas::TexelAtlas, parallel};
 use lobelia_world::material::{Diffuse, MAX_SPECULAR_LOBES, SpecularBlend, Texels, texels_in_order};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::point::SurfacePoint;
+use lobelia_world::sample::{Samples, point::SurfacePoint};
+use lobelia_world::{material::material_source::BaseMaterials, pipeline::SystemResult};
 use serde::{Deserialize, Serialize};
 
 /// One value per base material.

@@ -42,29 +42,23 @@ use crate::visibility::{ObjectVisibility, RefreshDue};
 use bevy_ecs::prelude::{
     Entity, IntoScheduleConfigs, Resource, SystemCondition, With, World, resource_exists,
 };
-use bevy_ecs::schedule::ScheduleConfigs;
-use bevy_ecs::system::ScheduleSystem;
-use bevy_ecs::{prelude::Bundle, query::QueryFilter};
+use bevy_ecs::{prelude::Bundle, query::QueryFilter, schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
-use lobelia_geometry::{Error, Result};
+use lobelia_geometry::{Error, Result, error::stop::is_stopping};
 use lobelia_sg::shading::ClosedForm;
 use lobelia_world::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_resource};
-use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::light::lights::{LightChoice, provide_light};
 use lobelia_world::light::placement::{GroupInTurn, Placements};
-use lobelia_world::light::{groups::FittedLobe, lobes_in_use};
-use lobelia_world::material::material_source::RecoveredMaterial;
+use lobelia_world::light::{LightLobe, groups::FittedLobe, lobes_in_use};
 use lobelia_world::material::{BaseMaterial, Diffuse, SpecularBlend, SpecularLobe, TexelIndex};
 use lobelia_world::material::{diffuse::has_tilt, first_material, texels_in_order};
-use lobelia_world::pipeline::pool::with_columns;
 use lobelia_world::pipeline::{FitForm, Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
 use lobelia_world::sample::{ObservedWindow, despawn_pool, pixel::Window};
+use lobelia_world::{material::material_source::RecoveredMaterial, pipeline::pool::with_columns};
 use serde::{Deserialize, Serialize};
-use std::ops::ControlFlow;
-use std::time::Instant;
+use std::{ops::ControlFlow, time::Instant};
 use tracing::info_span;
 
 /// Settings of a fit.

@@ -10,8 +10,7 @@
 use crate::shade::frame::{FrameTarget, PixelSums, bands, render_rows, spawn_pool};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
-use lobelia_geometry::parallel;
-use lobelia_geometry::{error::Result, view::Camera};
+use lobelia_geometry::{error::Result, parallel, view::Camera};
 use lobelia_world::{pipeline::Pipeline, sample::point::Scenery};
 use std::ops::Range;
 

@@ -8,8 +8,7 @@ use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res};
 use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::{Mat3, Vec3};
-use lobelia_geometry::error::Error;
-use lobelia_geometry::parallel;
+use lobelia_geometry::{error::Error, parallel};
 use lobelia_sg::shading::{
     ClosedForm, Layers, Lighting, LobeVisibility, PointVisibility, ShadeCall, ShadePoint, SpecularValue,
 };

@@ -14,15 +14,12 @@ use crate::shape::systems::{OUTLIER, root_mean_square};
 use crate::{fit::components::StepRates, shape::outline::OutlineGuide, shape::silhouette::Silhouette};
 use bevy_ecs::prelude::{Res, ResMut, Resource};
 use glam::Vec3;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::mesh::{Surface, bvh::TriangleHit};
+use lobelia_geometry::mesh::{Surface, bvh::TriangleBvh, bvh::TriangleHit, triangles::Mesh};
 use lobelia_geometry::parallel;
 use lobelia_sg::shading::PointAdjoint;
 use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::pixel::ViewRay;
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
+use lobelia_world::sample::{Samples, pixel::ViewRay};
 use std::sync::Arc;
 
 /// Steps between two moves; adjoints are summed over these.

@@ -43,12 +43,10 @@ pub mod texel_visibility;
 use bevy_ecs::prelude::{
     Changed, IntoScheduleConfigs, Or, Query, Res, ResMut, Resource, SystemCondition, resource_exists,
 };
-use bevy_ecs::schedule::ScheduleConfigs;
-use bevy_ecs::system::ScheduleSystem;
+use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use lobelia_sg::shading::PointVisibility;
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::lights::IncidentLight;
 use lobelia_world::light::placement::{GroupInTurn, LightGroup};
+use lobelia_world::light::{LightLobe, lights::IncidentLight};
 use lobelia_world::material::material_source::{
     BaseMaterials, ColumnOf, Holds, MaterialSource, RecoveredMaterial, TexelColumns,
 };

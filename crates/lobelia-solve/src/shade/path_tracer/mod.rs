@@ -35,11 +35,9 @@
 //! # Ok::<(), lobelia_geometry::Error>(())
 //! ```
 
-use crate::shade::sampling::sobol::Sequence;
-use crate::shade::sampling::{Scattered, Scatterer, above_zero, power_heuristic};
+use crate::shade::sampling::{Scattered, Scatterer, above_zero, power_heuristic, sobol::Sequence};
 use glam::{DVec3, Vec3};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::parallel;
+use lobelia_geometry::{error::stop::is_stopping, parallel};
 use lobelia_sg::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
 use lobelia_world::material::{Diffuse, MAX_SPECULAR_LOBES, Shown, SpecularBlend, SpecularLobe};
 
