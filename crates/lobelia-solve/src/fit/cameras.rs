@@ -378,7 +378,10 @@ fn solve(views: &[AlignedView], center: Vec3, is_known: bool, log_focal: f64) ->
     } else {
         step = [0.0; SHARED];
     }
-    let pose = |arm: &Option<Arm>| arm.as_ref().map_or([0.0; POSE], |arm| arm.pose_step(&step));
+    let pose = |arm: &Option<Arm>| {
+        let Some(Arm { by_right, by_shared, .. }) = arm else { return [0.0; POSE] };
+        std::array::from_fn(|i| by_right[i] - (0..SHARED).map(|k| by_shared[k][i] * step[k]).sum::<f64>())
+    };
     (arms.iter().map(pose).collect(), step[0])
 }
 
@@ -426,12 +429,6 @@ impl Arm {
             -(0..JACOBIAN_COLUMNS).map(|j| acts[j][k] * sums.right[j]).sum::<f64>() - along(k, &by_right)
         });
         Some(Self { by_right, by_shared, tip, tip_right })
-    }
-
-    fn pose_step(&self, shared: &[f64; SHARED]) -> Pose {
-        std::array::from_fn(|i| {
-            self.by_right[i] - (0..SHARED).map(|k| self.by_shared[k][i] * shared[k]).sum::<f64>()
-        })
     }
 }
 

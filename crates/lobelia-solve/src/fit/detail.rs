@@ -23,8 +23,7 @@
 use crate::fit::groups::{end_turns, groups_of_views};
 use crate::fit::observe::{observed_in, spawn_samples, usable_by_view, usable_pixels};
 use crate::fit::{components::TexelSeen, exposure::Exposures, metal::Metals};
-use crate::shade::frame::{add_gathering, add_material_resources, trace_samples};
-use crate::shade::shade_closed_form;
+use crate::shade::{frame::add_gathering, frame::trace_samples, shade_closed_form};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World};
 use glam::{Mat2, Mat3, Vec2, Vec3};
 use half::f16;
@@ -74,7 +73,6 @@ pub struct DetailPlugin;
 impl Plugin for DetailPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline.world.init_resource::<DetailPixels>();
-        add_material_resources::<RecoveredMaterial>(&mut pipeline.world);
         add_gathering::<RecoveredMaterial>(pipeline, Phase::Detail);
         pipeline
             .add_systems(Phase::Detail, Stage::Sample, show_pixels)

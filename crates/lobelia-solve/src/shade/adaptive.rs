@@ -2,10 +2,6 @@
 //! grid of rays only at pixels that differ from a neighbor, which show edges, patterns or
 //! highlights. Closed forms have no noise. What lies between the middles of pixels that are alike,
 //! such as a wire thinner than a pixel where none of nine middles meets it, is not seen.
-//!
-//! | name | unit | value | meaning |
-//! | --- | --- | --- | --- |
-//! | [`CONTRAST`] | | 0.02 | difference of colors as they are shown, in [0, 1], from which both pixels get all rays |
 
 use crate::shade::frame::{FrameTarget, PixelSums, bands, render_rows, spawn_pool};
 use bevy_ecs::prelude::World;
@@ -208,14 +204,9 @@ mod tests {
         assert!(worst < CONTRAST, "{worst}");
         // Outlines are those of all rays.
         assert_eq!(found.alpha, whole.alpha);
-    }
-
-    #[test]
-    fn with_one_ray_nothing_is_refined() {
-        let camera = camera(Vec3::new(0.3, 0.4, 2.6));
-        let whole = resolve(&render_frame(&mut studio(), camera, 1).unwrap());
-        let found = adaptive(camera, 1, 90);
-        assert_eq!((found.refined, found.color, found.alpha), (0, whole.color, whole.alpha));
+        let (whole, found) =
+            (resolve(&render_frame(&mut studio(), camera, 1).unwrap()), adaptive(camera, 1, 90));
+        assert_eq!((found.refined, found.color, found.alpha), (0, whole.color, whole.alpha), "of one ray");
     }
 
     /// The number of rays is that of a square grid, which may be more than was asked for.

@@ -153,7 +153,6 @@ pub struct FramePlugin;
 
 impl Plugin for FramePlugin {
     fn build(&self, pipeline: &mut Pipeline) {
-        add_material_resources::<ShownMaterial>(&mut pipeline.world);
         pipeline
             .add_systems(Phase::Frame, Stage::Sample, sample_pixels)
             .add_systems(Phase::Frame, Stage::Trace, trace_samples)
@@ -165,18 +164,15 @@ impl Plugin for FramePlugin {
     }
 }
 
-/// Inserts the resources that the Gather stage writes.
-pub fn add_material_resources<M: MaterialSource>(world: &mut World) {
+/// Adds the systems of [`GatherPoints`]: base materials, albedo and blends of a material at the
+/// points of the window, of which no visibility is known yet; and what the Gather stage writes.
+pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
+    let world = &mut pipeline.world;
     world.init_resource::<Window>();
     world.init_resource::<IncidentLight>();
     world.init_resource::<BaseMaterials>();
     world.init_resource::<PlainBlends<M>>();
     world.init_resource::<WindowVisibility>();
-}
-
-/// Adds the systems of [`GatherPoints`]: base materials, albedo and blends of a material at the
-/// points of the window, of which no visibility is known yet.
-pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
     let materials =
         (note_plain_blends::<M>.run_if(blends_changed::<M>), gather_materials::<M>, gather_blends::<M>);
     pipeline.add_systems(phase, Stage::Gather, (forget_window, gather_points::<M>).in_set(GatherPoints));
