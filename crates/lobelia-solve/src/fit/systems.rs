@@ -293,13 +293,12 @@ fn pull_back_chunk(
             blend_adjoints[*i][*number] = (0..3).map(|c| adjoint.0[c] * value.specular[c]).sum();
             value.diffuse = shaded[*i].diffuse;
         }
-        let mut is_first = first.iter();
-        showing.change_seen(|i, seen| {
-            seen.specular = seen.specular.map(|s| s * blends[i].0[*number]);
-            if is_first.next() == Some(&false) {
+        for ((i, seen), first) in showing.numbers.iter().zip(&mut showing.seen).zip(&first) {
+            seen.specular = seen.specular.map(|s| s * blends[*i].0[*number]);
+            if !first {
                 seen.indirect = [0.0; 3];
             }
-        });
+        }
         let (mut own, mut shared) = (vec![PointAdjoint::default(); first.len()], SharedGradient::default());
         let radiance = RadianceColumns { shaded: &layers, adjoint: &adjoint };
         let lighting = showing.lighting(lighting);
