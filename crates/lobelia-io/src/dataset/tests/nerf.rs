@@ -147,11 +147,8 @@ fn what_a_pinhole_cannot_show_is_cropped_with_a_note() {
     for (focal, is_cropped) in [(40, false), (22, true)] {
         ["/fl_x", "/fl_y"].iter().for_each(|field| set.put(TRANSFORMS, field, json!(focal)));
         let notes = set.all().notes.join(" ");
-        assert_eq!(
-            notes.contains("1 photographs show more than a pinhole camera can"),
-            is_cropped,
-            "{notes}"
-        );
+        let note = "1 photographs show more than a pinhole camera can";
+        assert_eq!(notes.contains(note), is_cropped, "{notes}");
     }
 }
 
