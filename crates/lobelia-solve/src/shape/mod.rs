@@ -1,5 +1,20 @@
 //! The object's shape from photographs with masks: a signed distance field, fitted through the same
 //! stages as light and material.
+//!
+//! | module | holds |
+//! | --- | --- |
+//! | `silhouette` | a mask with its camera, distances from it, and the loss of masks |
+//! | [`hull`] | the robust visual hull of the masks as a signed distance field, its repair, and the parts of a surface |
+//! | `unseen` | spans what no photograph sees of the hull |
+//! | `hollows` | removes from the hull what photographs look through |
+//! | [`field`] | the field as parameters: bricks of values (entities) and the field as a whole (a resource), with its adjoints |
+//! | [`systems`] | the systems, which are swapped in during the fit of a shape ([`run`]) |
+//! | `outline` | moves the contours of the surface to the outlines of the masks |
+//! | `pictures` | photographs as small pictures of the object alone |
+//! | [`stereo`] | moves a mesh to where neighboring photographs agree |
+//! | [`mirror`] | gives vertices normals that explain what the surface mirrors |
+//! | `shell` | the merged vertices of a mesh as a graph |
+//! | [`vertices`] | a mesh's vertices as parameters of a fit |
 
 pub mod field;
 mod hollows;
