@@ -360,50 +360,30 @@ mod tests {
     use super::*;
 
     #[inline(always)]
-    fn exp_all<S: Simd>(simd: S, values: &mut [f32]) {
+    fn each<S: Simd>(simd: S, values: &mut [f32], of: impl Fn(Lanes<S>) -> Lanes<S>) {
         for chunk in values.chunks_exact_mut(Lanes::<S>::LEN) {
-            let result = Lanes::load(simd, chunk).exp();
+            let result = of(Lanes::load(simd, chunk));
             chunk.fill(0.0);
             result.add_to(chunk);
         }
     }
 
+    /// The columns of one record per lane, and the records that these become again.
     #[inline(always)]
-    fn invert_all<S: Simd>(simd: S, values: &mut [f32]) {
-        for chunk in values.chunks_exact_mut(Lanes::<S>::LEN) {
-            let result = Lanes::load(simd, chunk).inverse();
-            chunk.fill(0.0);
-            result.add_to(chunk);
-        }
-    }
-
-    #[inline(always)]
-    fn columns_of<S: Simd>(simd: S, records: &[[f32; RECORD]; MAX_LANES]) -> Vec<Vec<f32>> {
+    fn there_and_back<S: Simd>(simd: S, records: &[[f32; RECORD]; MAX_LANES]) -> [Vec<Vec<f32>>; 2] {
         let columns = Lanes::columns(simd, records);
-        columns.iter().map(|c| (0..Lanes::<S>::LEN).map(|i| c.lane(i)).collect()).collect()
+        let (rows, lanes) = (Lanes::records(columns), || 0..Lanes::<S>::LEN);
+        let columns = columns.iter().map(|column| lanes().map(|lane| column.lane(lane)).collect());
+        [columns.collect(), lanes().map(|lane| record_of(&rows, lane).to_vec()).collect()]
     }
 
     #[test]
-    fn records_become_columns() {
+    fn records_become_columns_and_records_again() {
         let records = std::array::from_fn(|i| std::array::from_fn(|c| (10 * i + c) as f32));
-        let columns = dispatch!(simd => columns_of(simd, &records));
+        let [columns, again] = dispatch!(simd => there_and_back(simd, &records));
         for (c, column) in columns.iter().enumerate() {
-            for (i, value) in column.iter().enumerate() {
-                assert_eq!(*value, records[i][c], "record {i}, value {c}");
-            }
+            assert!(column.iter().zip(&records).all(|(value, record)| *value == record[c]), "{column:?}");
         }
-    }
-
-    #[inline(always)]
-    fn records_again<S: Simd>(simd: S, records: &[[f32; RECORD]; MAX_LANES]) -> Vec<Vec<f32>> {
-        let rows = Lanes::records(Lanes::columns(simd, records));
-        (0..Lanes::<S>::LEN).map(|lane| record_of(&rows, lane).to_vec()).collect()
-    }
-
-    #[test]
-    fn columns_become_records_again() {
-        let records = std::array::from_fn(|i| std::array::from_fn(|c| (10 * i + c) as f32));
-        let again = dispatch!(simd => records_again(simd, &records));
         assert!(again.iter().zip(&records).all(|(again, record)| again == record), "{again:?}");
     }
 
@@ -427,7 +407,7 @@ mod tests {
     fn inverse_is_within_its_stated_error() {
         let inputs: Vec<f32> = (0..16_000).map(|i| 10f32.powf(-37.0 + 74.0 * i as f32 / 15_999.0)).collect();
         let mut outputs = inputs.clone();
-        dispatch!(simd => invert_all(simd, &mut outputs));
+        dispatch!(simd => each(simd, &mut outputs, Real::inverse));
         for (x, y) in inputs.iter().zip(&outputs) {
             let product = f64::from(*x) * f64::from(*y);
             assert!((product - 1.0).abs() < 3e-7, "1/{x} = {y}");
@@ -438,7 +418,7 @@ mod tests {
     fn exp_is_within_its_stated_error() {
         let inputs: Vec<f32> = (0..16_000).map(|i| -87.0 + 174.0 * i as f32 / 15_999.0).collect();
         let mut outputs = inputs.clone();
-        dispatch!(simd => exp_all(simd, &mut outputs));
+        dispatch!(simd => each(simd, &mut outputs, Real::exp));
         for (x, y) in inputs.iter().zip(&outputs) {
             let exact = f64::from(*x).exp();
             assert!((f64::from(*y) / exact - 1.0).abs() < 2e-7, "exp({x}) = {y}, not {exact}");

@@ -30,8 +30,7 @@ use crate::mesh::wide_bvh::{
 };
 use fearless_simd::{Level, Simd, f32x8, f32x16, prelude::*};
 use glam::{Vec3, Vec3A};
-use lobelia_sg::dispatch;
-use lobelia_sg::ray::Ray;
+use lobelia_sg::{dispatch, ray::Ray};
 use obvhs::{
     BvhBuildParams, aabb::Aabb, bvh2::Bvh2, bvh2::reinsertion::ReinsertionOptimizer, ploc::PlocBuilder,
 };

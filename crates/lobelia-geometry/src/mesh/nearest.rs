@@ -13,8 +13,7 @@
 //! ```
 
 use crate::mesh::bvh::{TriangleHit, binary_hierarchy};
-use crate::mesh::triangles::Mesh;
-use crate::parallel;
+use crate::{mesh::triangles::Mesh, parallel};
 use glam::{Vec3, Vec3A};
 use obvhs::{aabb::Aabb, bvh2::Bvh2};
 use rand::{RngExt, SeedableRng, rngs::SmallRng};

@@ -20,8 +20,7 @@
 //! ```
 
 use crate::mesh::triangles::{DisjointSets, Mesh, Side, sorted_sides};
-use crate::parallel;
-use crate::sdf::SdfGrid;
+use crate::{parallel, sdf::SdfGrid};
 use fast_surface_nets::{SurfaceNetsBuffer, ndshape::RuntimeShape, surface_nets};
 use glam::Vec3;
 use rayon::prelude::*;

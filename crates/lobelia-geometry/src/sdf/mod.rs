@@ -2,12 +2,6 @@
 //! and texels. Distances are in world units at the vertices, negative inside, and trilinear in
 //! between.
 //!
-//! | module | holds |
-//! | --- | --- |
-//! | [`extract`] | a mesh of the zero level (surface nets), its non-manifold edges and vertices split |
-//! | `redistance` | restores the distance property (fast sweeping) |
-//! | [`volume`] | texels on a lattice around the zero level, and a field that can be shaded with them |
-//!
 //! ```
 //! use glam::Vec3;
 //! use lobelia_geometry::sdf::SdfGrid;

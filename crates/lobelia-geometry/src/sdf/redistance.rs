@@ -5,10 +5,8 @@
 //! eight diagonal directions. Only vertices with a neighbor that has changed are solved again (Bak,
 //! McLaughlin and Renzi, "Some Improvements for the Fast Sweeping Method", 2010).
 
-use crate::parallel;
-use crate::sdf::SdfGrid;
-use std::sync::atomic::Ordering::Relaxed;
-use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32};
+use crate::{parallel, sdf::SdfGrid};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering::Relaxed};
 
 /// Bounds on the length of the gradient that a value is divided by: gradients at creases are
 /// inaccurate.

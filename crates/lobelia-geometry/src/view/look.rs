@@ -1,8 +1,7 @@
 //! The part of a view that a survey keeps: a few numbers and a small mask, so that a thousand views
 //! fit into little memory.
 
-use crate::view::raster::FULL_COVERAGE;
-use crate::view::{Camera, Mask, Photograph, Placement, Split, ViewRecord};
+use crate::view::{Camera, Mask, Photograph, Placement, Split, ViewRecord, raster::FULL_COVERAGE};
 use lobelia_sg::{color::luminance, statistics::quantile};
 use serde::Serialize;
 

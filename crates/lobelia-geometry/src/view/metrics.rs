@@ -18,8 +18,7 @@
 //! # Ok::<(), lobelia_geometry::Error>(())
 //! ```
 
-use crate::parallel;
-use crate::{Error, Result, view::raster::FULL_COVERAGE};
+use crate::{Error, Result, parallel, view::raster::FULL_COVERAGE};
 use glam::{DVec3, Vec3};
 use std::ops::Range;
 
@@ -522,10 +521,7 @@ mod tests {
     #[test]
     fn medians() {
         assert_eq!((median::<f64>(&mut []), median(&mut [3.0])), (None, Some(3.0)));
-        assert_eq!(
-            (median(&mut [5.0, 1.0, 3.0]), median(&mut [4.0f32, 1.0, 3.0, 2.0])),
-            (Some(3.0), Some(2.5))
-        );
+        assert_eq!((median(&mut [5.0, 1.0, 3.0]), median(&mut [4.0, 1.0, 3.0, 2.0])), (Some(3.0), Some(2.5)));
     }
 
     #[test]

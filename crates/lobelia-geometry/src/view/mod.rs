@@ -2,14 +2,6 @@
 //!
 //! Camera axes are OpenCV's (x right, y down, z forward). The center of pixel (i, j) is (i + 0.5, j +
 //! 0.5).
-//!
-//! | module | holds |
-//! | --- | --- |
-//! | [`camera`] | the pinhole camera, projection, construction by target point, orbits |
-//! | [`look`] | a few numbers and a small mask that stand for a view |
-//! | [`metrics`] | PSNR, SSIM and other scores of a picture against its truth |
-//! | [`raster`] | images, masks and windows of them: box filtering, bilinear look-up, distance to silhouettes |
-//! | [`stored`] | photographs and masks as they are kept: small, and cropped |
 
 pub mod camera;
 pub mod look;

@@ -1,16 +1,14 @@
 //! Reading OpenEXR: channels of flat layers as `f32`, laid out on the display window. Pixels of the
 //! window outside a layer are 0.
 
-use crate::codec::file::Source;
 use crate::codec::image::format::{Format, ImageHeader, MAX_DECODED_BYTES};
-use crate::codec::{file::open, nearby::missing_file_help};
+use crate::codec::{file::Source, file::open, nearby::missing_file_help};
 use exr::block::reader::{ChunksReader, Reader};
 use exr::meta::attribute::{IntegerBounds, SampleType};
 use exr::{error::Error as ExrError, math::Vec2, meta::header::Header, prelude::f16};
 use glam::Vec3;
 use lobelia_geometry::{Error, Result};
-use std::io::SeekFrom;
-use std::{collections::BTreeMap, path::Path};
+use std::{collections::BTreeMap, io::SeekFrom, path::Path};
 
 /// The channels of an EXR file.
 #[derive(Clone, Debug, Default, PartialEq)]

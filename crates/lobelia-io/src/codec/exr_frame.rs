@@ -27,8 +27,7 @@ use exr::meta::{BlockDescription, Headers};
 use exr::{block::writer::ChunksWriter, math::Vec2};
 use flate2::{Compression, write::ZlibEncoder};
 use glam::Vec3;
-use lobelia_geometry::parallel;
-use lobelia_geometry::{Error, Result, view::BLOCK_ROWS, view::Frame};
+use lobelia_geometry::{Error, Result, parallel, view::BLOCK_ROWS, view::Frame};
 use std::{io::Write as _, path::Path};
 
 const COLOR: [&str; 3] = ["R", "G", "B"];

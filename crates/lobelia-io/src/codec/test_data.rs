@@ -1,10 +1,12 @@
 //! Small files for the tests of this module.
 
+use crate::codec::image::encode_jpeg;
 use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage,
 };
 use glam::Vec3;
-use lobelia_geometry::view::Frame;
+use image::{Rgb, RgbImage};
+use lobelia_geometry::{Error, Result, view::Frame};
 use std::{io::Cursor, io::Write, path::Path, path::PathBuf};
 use tempfile::TempDir;
 
@@ -61,6 +63,30 @@ pub(crate) fn npy_matrix(rows: usize, columns: usize, values: &[f64]) -> Vec<u8>
     assert_eq!(values.len(), rows * columns);
     let data: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
     npy("<f8", false, &format!("({rows}, {columns})"), &data)
+}
+
+/// The TIFF of an EXIF block that gives the orientation.
+pub(crate) fn exif(orientation: u8) -> Vec<u8> {
+    let mut chunk = b"MM\0\x2a\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0".to_vec();
+    chunk.extend([orientation, 0, 0, 0, 0, 0, 0]);
+    chunk
+}
+
+/// A JPEG of 16×8 pixels, bright on the left as stored, with an EXIF block that gives the orientation.
+pub(crate) fn jpeg_with_orientation(orientation: u8) -> Vec<u8> {
+    let image = RgbImage::from_fn(16, 8, |x, _| if x < 8 { Rgb([240; 3]) } else { Rgb([10; 3]) });
+    let bytes = encode_jpeg(&image, 75).unwrap();
+    let block = [&b"Exif\0\0"[..], &exif(orientation)].concat();
+    let length = (block.len() as u16 + 2).to_be_bytes();
+    [&bytes[..2], &[0xff, 0xe1], &length, &block, &bytes[2..]].concat()
+}
+
+/// Message and help of an error that is the input's fault.
+#[track_caller]
+pub(crate) fn input_error<T: std::fmt::Debug>(result: Result<T>) -> String {
+    let error = result.unwrap_err();
+    assert!(matches!(error, Error::Input { .. }), "{error:?}");
+    format!("{error} | {}", error.help().unwrap_or_default())
 }
 
 /// Writes an `.npz` file of arrays with these names, deflated and stored by turns.

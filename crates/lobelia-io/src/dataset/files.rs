@@ -176,12 +176,6 @@ fn spelled_as_on_disk(path: &Path) -> Option<PathBuf> {
     entries(&folder).filter(|path| composed(&file_name(path)) == composed(name)).min()
 }
 
-/// Whether there is an image at a path, or something that is called as one: reading it says why it
-/// is none.
-fn is_image_at(path: &Path) -> bool {
-    path.is_file() || (has_extension(path, &IMAGE_EXTENSIONS) && is_there(path))
-}
-
 /// A folder's image files by name without extension.
 pub struct StemIndex {
     /// The folder of the files.
@@ -271,7 +265,8 @@ impl Folders {
     pub fn image(&mut self, path: &str) -> Option<PathBuf> {
         let folder = self.folder(path).ok()??;
         let exact = folder.folder.join(last(path));
-        if is_image_at(&exact) {
+        // Or something that is called as an image: reading it says why it is none.
+        if exact.is_file() || (has_extension(&exact, &IMAGE_EXTENSIONS) && is_there(&exact)) {
             return Some(exact);
         }
         let rank = |file: &&PathBuf| {

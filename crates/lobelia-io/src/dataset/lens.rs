@@ -657,11 +657,8 @@ mod tests {
         }
         for lens in lenses() {
             let way = straightened(lens, camera());
-            assert!(
-                (60..=120).contains(&way.camera.width) && !way.is_cropped,
-                "{lens:?}: {}",
-                way.camera.width
-            );
+            let width = way.camera.width;
+            assert!((60..=120).contains(&width) && !way.is_cropped, "{lens:?}: {width}");
         }
         let wide = Camera { width: 160, height: 120, focal: [60.0; 2], center: [82.0, 60.0], ..camera() };
         straightened(fisheye([0.01, 0.0, 0.0, 0.0]), wide);

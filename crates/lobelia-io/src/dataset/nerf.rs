@@ -6,19 +6,6 @@
 //! Each frame has a `transform_matrix` (4×4 or 3×4, world_from_camera with OpenGL axes: x right, y
 //! up, z backward), which is taken as it is: `applied_transform` is not undone. Intrinsics are at
 //! the top of the file or in a frame; those of the frame have priority.
-//!
-//! | fields | unit | meaning |
-//! | --- | --- | --- |
-//! | `w`, `h` | pixels | image size |
-//! | `fl_x`, `fl_y` | pixels | focal lengths |
-//! | `camera_angle_x`, `camera_angle_y` | radians | full fields of view, instead of focal lengths |
-//! | `x_fov`, `y_fov` | degrees | the same |
-//! | `cx`, `cy` | pixels | principal point |
-//! | `camera_model` | | `OPENCV_FISHEYE`, `FULL_OPENCV`; other models of COLMAP with fewer coefficients count as `OPENCV` |
-//! | `is_fisheye` | | whether the model is `OPENCV_FISHEYE` |
-//! | `k1` to `k4` | | radial polynomial; `k4`, `k5`, `k6` of `FULL_OPENCV` are its divisor |
-//! | `p1`, `p2` | | tangential distortion |
-//! | `distortion_params` | | nerfstudio's list of `k1` to `k4`, `p1` and `p2`, which goes before these |
 
 use crate::codec::image::{IMAGE_EXTENSIONS, is_unread_name};
 use crate::codec::{file::is_there, nearby::missing_file_help};

@@ -138,10 +138,8 @@ mod tests {
     fn small_errors_are_made_good() {
         let shared = with(1, 4.9e-3).unwrap();
         assert!((shared.error - 4.9e-3).abs() < 1e-4);
-        assert!(
-            (shared.rotation.col(1).x - 2.45e-3).abs() < 1e-6,
-            "the nearest rotation shares the error out"
-        );
+        // The nearest rotation shares the error out.
+        assert!((shared.rotation.col(1).x - 2.45e-3).abs() < 1e-6, "{}", shared.rotation);
         let off = (shared.rotation.transpose() * shared.rotation - DMat3::IDENTITY).to_cols_array();
         assert!(off.iter().all(|value| value.abs() < 1e-14), "{off:?}");
     }

@@ -1,10 +1,5 @@
 //! Prior maps: what somebody else says of albedo or normals, one picture for a training photograph.
 //!
-//! | prior | folder of | pixel values |
-//! | --- | --- | --- |
-//! | [`AlbedoPrior`] | pictures called as the photographs | diffuse albedo, by its `gamma`; a factor on all of a picture does not matter |
-//! | [`NormalPrior`] | pictures called as the photographs | unit normals in its `axes`, in integer formats as (n + 1)/2 without a curve |
-//!
 //! A map may have another size than its photograph, in the same shape: it is looked up between its
 //! pixels, through the photograph's lens as that is straightened. A pixel without coverage (alpha
 //! below one half), and a normal that is none, say nothing.
@@ -38,7 +33,8 @@ pub struct Priors {
 
 /// Albedo of the training photographs, such as a network estimates: where the fit of light and
 /// albedo begins, and the mean color that it keeps to unless `scale` is `WhiteLight`, `MeanAlbedo`
-/// or `Free`. It pays only if the maps are right: see the manual's chapter on photographs.
+/// or `Free`. It pays only if the maps are right: see the manual's chapter on photographs. A factor
+/// on all of a picture does not matter.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AlbedoPrior {
@@ -50,7 +46,8 @@ pub struct AlbedoPrior {
     pub gamma: Gamma,
 }
 
-/// Normals of the training photographs, such as a network estimates.
+/// Normals of the training photographs, such as a network estimates; in integer formats as (n + 1)/2
+/// without a curve.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NormalPrior {

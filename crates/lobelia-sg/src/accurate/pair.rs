@@ -1,13 +1,11 @@
 //! One point × one lobe: the integrals.
 
-use super::Quality;
-use super::diffuse::cosine_integral;
-use super::ggx::prepare_ggx_point;
 use super::narrow::{MOST_SGS, is_narrow, parts};
 use super::placement::{GGX, LocalLight, Placement, SG, Tail, place, place_two};
 use super::point::{PointTerms, prepare_point};
 use super::smooth::{Ring, pair_smoothness, smooth_light};
 use super::specular::{PointTermsView, node};
+use super::{Quality, diffuse::cosine_integral, ggx::prepare_ggx_point};
 use crate::brdf::{Facets, Ndf};
 use crate::real::{Real, Vec3Of, dot};
 use crate::sg::{Dual, Lobe};

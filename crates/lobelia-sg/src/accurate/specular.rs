@@ -10,10 +10,9 @@
 //! At every node the integrand itself is evaluated (one exp) and divided by the weight that the
 //! rule assumes.
 
-use super::diffuse::fading_exp;
 use super::placement::{LocalLight, Placement, SG, Tail, Vec2Of, dot2, spread};
 use super::point::{NdfTerms, PointTerms};
-use super::rule::across;
+use super::{diffuse::fading_exp, rule::across};
 use crate::real::{Real, Vec3Of, sub};
 
 /// A row of nodes: those at the same position along the clipped direction.

@@ -8,14 +8,12 @@ use super::point::{Mixture, OneSg};
 use super::smooth::pair_smoothness;
 use super::specular::{PointTermsView, node};
 use super::*;
-use crate::brdf::Ndf;
 use crate::cases::{Case, unit};
 use crate::real::{Real, add, dot, scale, sub};
-use crate::{dispatch, lanes::Lanes, lanes::MAX_LANES};
+use crate::{brdf::Ndf, dispatch, lanes::Lanes, lanes::MAX_LANES};
 use cubature::{Integrals, integrand, integrate};
 use fearless_simd::Simd;
-use rand::rngs::SmallRng;
-use rand::{RngExt, SeedableRng};
+use rand::{RngExt, SeedableRng, rngs::SmallRng};
 use std::f64::consts::PI;
 
 /// A case from the whole range of use; half of the lights near the mirror direction.

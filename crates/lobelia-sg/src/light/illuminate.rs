@@ -1,10 +1,9 @@
 //! Distant light that can be evaluated and sampled: an environment map, and a set of SG lobes.
 
-use crate::dispatch;
 use crate::lanes::{Lanes, MAX_LANES};
 use crate::light::{EnvironmentMap, LightLobe};
 use crate::ray::{Illuminate, LightSample};
-use crate::{color::luminance, real::Real, sg};
+use crate::{color::luminance, dispatch, real::Real, sg};
 use fearless_simd::Simd;
 use glam::{DVec3, Mat3, Vec3};
 use std::{f64::consts::PI, sync::Arc};

@@ -10,11 +10,10 @@
 //! assert!(lobes_radiance(&turned, Vec3::Y).distance(lobes[0].amplitude) < 1e-4);
 //! ```
 
-use glam::{DVec3, Quat, Vec3};
-use serde::{Deserialize, Serialize};
-
 use crate::fibonacci::{fibonacci_axes, spacing_sharpness};
 use crate::{published::Lobe, sg};
+use glam::{DVec3, Quat, Vec3};
+use serde::{Deserialize, Serialize};
 
 /// Most lobes of a light.
 pub const MOST_LOBES: usize = 2048;

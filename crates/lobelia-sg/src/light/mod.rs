@@ -1,11 +1,4 @@
 //! Distant light: SG lobes, environment maps, and both as lights that can be sampled.
-//!
-//! | module | holds |
-//! | --- | --- |
-//! | [`convention`] | orientation of maps in other programs |
-//! | [`envmap`] | the latitude-longitude grid: directions, solid angles, bilinear look-up, rotation |
-//! | [`illuminate`] | [`Illuminate`](crate::ray::Illuminate) for a map and for lobes, both with importance sampling |
-//! | [`lobe`] | [`LightLobe`], and lists of lobes: radiance, power, rotation, checks |
 
 pub mod convention;
 pub mod envmap;

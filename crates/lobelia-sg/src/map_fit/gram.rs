@@ -6,10 +6,9 @@
 //! known (Mardia and Jupp 2000, §9.3.2). All four basis functions of a lobe are G times a function
 //! linear in ω, so those moments suffice.
 
+use crate::map_fit::kernel::FitLobe;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
-
-use crate::map_fit::kernel::FitLobe;
 
 /// Below e to this power an inner product is taken as zero.
 const CUTOFF: f64 = -30.0;

@@ -5,13 +5,11 @@
 //! it is below e⁻¹⁶. Tiles are processed in parallel and their sums added in a fixed order, so
 //! results do not depend on the number of threads.
 
-use crate::dispatch;
+use crate::{dispatch, lanes::Lanes, light::envmap::EnvironmentMap, real::Real};
 use fearless_simd::Simd;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;
-
-use crate::{lanes::Lanes, light::envmap::EnvironmentMap, real::Real};
 
 /// Texels in a tile.
 pub const TILE: usize = 128;

@@ -26,19 +26,18 @@ mod place;
 mod solve;
 pub mod sun;
 
-use std::f64::consts::{PI, TAU};
-
-use glam::{DVec3, Vec3};
-use serde::{Deserialize, Serialize};
+pub use sun::Sun;
 
 use crate::color::luminance;
 use crate::fibonacci::{fibonacci_axes, spacing_sharpness};
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
-use crate::map_fit::kernel::{FitLobe, Tile, derivatives};
-use crate::map_fit::place::{Level, place};
-use crate::map_fit::solve::{LobeBounds, fit_amplitudes, keep_power, levenberg_marquardt, prune};
-pub use crate::map_fit::sun::Sun;
-use crate::map_fit::sun::take_suns;
+use glam::{DVec3, Vec3};
+use kernel::{FitLobe, Tile, derivatives};
+use place::{Level, place};
+use serde::{Deserialize, Serialize};
+use solve::{LobeBounds, fit_amplitudes, keep_power, levenberg_marquardt, prune};
+use std::f64::consts::{PI, TAU};
+use sun::take_suns;
 
 /// Most lobes that a map is fitted by where people ask for it: the work of a step grows with the
 /// cube of their number.

@@ -1,15 +1,11 @@
 //! Placement of new lobes: the directions and sharpnesses that lower the error most, one at a time.
 
-use crate::dispatch;
+use crate::map_fit::kernel::{FitLobe, LobeCap, Tile, TileRow, TileValues, residuals, rows_of, tiles_of};
+use crate::map_fit::{gram::mean_product, solve::LobeBounds};
+use crate::{dispatch, fibonacci::fibonacci_axes, light::envmap::EnvironmentMap, sg::sphere_integral};
 use fearless_simd::Simd;
 use glam::DVec3;
 use rayon::prelude::*;
-
-use crate::map_fit::kernel::{FitLobe, LobeCap, Tile, TileRow, TileValues, residuals, rows_of, tiles_of};
-use crate::{
-    fibonacci::fibonacci_axes, light::envmap::EnvironmentMap, map_fit::gram::mean_product,
-    map_fit::solve::LobeBounds, sg::sphere_integral,
-};
 
 /// Sharpnesses tried, each about 2.5 times the one before.
 const SHARPNESSES: [f64; 10] = [1.5, 4.0, 10.0, 25.0, 60.0, 150.0, 400.0, 1000.0, 2500.0, 6000.0];

@@ -4,9 +4,8 @@
 //! A sun is removed from the map before the fit and gets a sharp lobe with the power, mean
 //! direction and spread of the sun; the rest of the map is then fitted without it.
 
-use glam::{DVec3, Vec3};
-
 use crate::{color::luminance, light::envmap::EnvironmentMap, light::lobe::LightLobe, sg::sphere_integral};
+use glam::{DVec3, Vec3};
 
 /// A sun is this many times brighter than the mean of the rest of the map.
 const BRIGHTER_THAN_REST: f64 = 1000.0;

@@ -8,8 +8,7 @@ use crate::columns::{
     ChunkSums, Layers, Lighting, LobeColumns, PointAdjoint, RadianceColumns, ShadePoint, SharedGradient,
 };
 use crate::real::{Real, Vec3Of};
-use crate::{accurate, published};
-use crate::{published::Published, sg::Lobe};
+use crate::{accurate, published, published::Published, sg::Lobe};
 use std::fmt::Debug;
 
 /// The closed form that shades.

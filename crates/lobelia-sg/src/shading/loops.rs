@@ -4,8 +4,7 @@
 use super::blocks::{Chunk, Shared, prepare_lobes};
 use super::{adjoint::adjoint_chunk, forward::shade_chunk, respond::respond_chunk};
 use crate::columns::{Layers, LobeColumns, PointAdjoint, RadianceColumns, ShadePoint};
-use crate::model::PairModel;
-use crate::{dispatch, lanes::Row};
+use crate::{dispatch, lanes::Row, model::PairModel};
 
 /// The loops of one closed form.
 pub(crate) trait Kernels: Sync {

@@ -44,10 +44,17 @@ fn weighted(case: &Case, wd: [f64; 3], ws: [f64; 3]) -> f64 {
     dot(d, wd) + dot(s, ws)
 }
 
+/// Weights of diffuse and specular light in [`check`].
+const WEIGHTS: [[f64; 3]; 2] = [[0.7, -0.4, 0.5], [0.3, 0.9, -0.2]];
+
 /// Central difference along a change of the case, compared with the gradient's prediction.
-fn check(name: &str, case: &Case, step: f64, predicted: f64, at: impl Fn(f64) -> Case) {
-    let (wd, ws) = ([0.7, -0.4, 0.5], [0.3, 0.9, -0.2]);
-    let difference = (weighted(&at(step), wd, ws) - weighted(&at(-step), wd, ws)) / (2.0 * step);
+fn check(name: &str, case: &Case, step: f64, predicted: f64, change: impl Fn(&mut Case, f64)) {
+    let at = |step: f64| {
+        let mut moved = *case;
+        change(&mut moved, step);
+        weighted(&moved, WEIGHTS[0], WEIGHTS[1])
+    };
+    let difference = (at(step) - at(-step)) / (2.0 * step);
     let size = weighted(case, [1.0; 3], [1.0; 3]).abs().max(1e-6);
     let error = (difference - predicted).abs() / (difference.abs() + 1e-2 * size + 2e-6);
     assert!(error < 1e-4, "{name}: difference {difference}, adjoint {predicted}, case {case:?}");
@@ -56,40 +63,23 @@ fn check(name: &str, case: &Case, step: f64, predicted: f64, at: impl Fn(f64) ->
 #[test]
 fn every_adjoint_agrees_with_central_differences() {
     let mut rng = SmallRng::seed_from_u64(7);
-    let (wd, ws) = ([0.7, -0.4, 0.5], [0.3, 0.9, -0.2]);
     for _ in 0..400 {
         let case = random_case(&mut rng);
-        let g = gradient(&case, wd, ws);
+        let g = gradient(&case, WEIGHTS[0], WEIGHTS[1]);
         let h = 1e-5;
-        check("sharpness", &case, h * case.sharpness, g.sharpness, |e| Case {
-            sharpness: case.sharpness + e,
-            ..case
-        });
-        check("roughness", &case, 1e-6, g.roughness, |e| Case { roughness: case.roughness + e, ..case });
+        check("sharpness", &case, h * case.sharpness, g.sharpness, |moved, e| moved.sharpness += e);
+        check("roughness", &case, 1e-6, g.roughness, |moved, e| moved.roughness += e);
         for c in 0..3 {
-            let moved = |v: [f64; 3], e: f64| {
-                let mut v = v;
-                v[c] += e;
-                v
-            };
-            check("amplitude", &case, h, g.amplitude[c], |e| Case {
-                amplitude: moved(case.amplitude, e),
-                ..case
-            });
-            check("albedo", &case, h, g.albedo[c], |e| Case { albedo: moved(case.albedo, e), ..case });
-            check("specular", &case, h, g.specular[c], |e| Case {
-                specular: moved(case.specular, e),
-                ..case
-            });
-            check("axis", &case, 1e-6, g.axis[c], |e| Case { axis: moved(case.axis, e), ..case });
+            check("amplitude", &case, h, g.amplitude[c], |moved, e| moved.amplitude[c] += e);
+            check("albedo", &case, h, g.albedo[c], |moved, e| moved.albedo[c] += e);
+            check("specular", &case, h, g.specular[c], |moved, e| moved.specular[c] += e);
+            check("axis", &case, 1e-6, g.axis[c], |moved, e| moved.axis[c] += e);
         }
         // A unit normal moves along its tangent plane only.
         let helper = if case.normal[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
         let tangent = unit(sub(helper, scale(case.normal, dot(helper, case.normal))));
-        check("normal", &case, 1e-6, dot(g.normal, tangent), |e| Case {
-            normal: unit(add(case.normal, scale(tangent, e))),
-            ..case
-        });
+        let turn = |moved: &mut Case, e| moved.normal = unit(add(case.normal, scale(tangent, e)));
+        check("normal", &case, 1e-6, dot(g.normal, tangent), turn);
     }
 }
 

@@ -20,16 +20,13 @@ use crate::fit::guard::{StepGuard, is_usable};
 use crate::fit::{components::StepRates, exposure::Exposures, loss::radiance};
 use bevy_ecs::prelude::{Component, Entity, Mut, Query, Res, ResMut, Resource, With, World};
 use glam::{Affine3A, Quat, Vec2, Vec3};
-use lobelia_geometry::Result;
-use lobelia_geometry::parallel;
 use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex, ViewName};
+use lobelia_geometry::{Result, parallel};
 use lobelia_sg::linear::{cholesky, solve_factored};
-use lobelia_sg::ray::Intersect;
-use lobelia_sg::shading::Layers;
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::Samples;
+use lobelia_sg::{ray::Intersect, shading::Layers};
 use lobelia_world::sample::pixel::{ImageGradient, Observed, PixelOf, ViewRay};
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
+use lobelia_world::{pipeline::SystemResult, sample::Samples};
 use serde::{Deserialize, Serialize};
 
 /// Steps between two moves of the cameras; their normal equations are summed over these.
@@ -381,7 +378,10 @@ fn solve(views: &[AlignedView], center: Vec3, is_known: bool, log_focal: f64) ->
     } else {
         step = [0.0; SHARED];
     }
-    let pose = |arm: &Option<Arm>| arm.as_ref().map_or([0.0; POSE], |arm| arm.pose_step(&step));
+    let pose = |arm: &Option<Arm>| {
+        let Some(Arm { by_right, by_shared, .. }) = arm else { return [0.0; POSE] };
+        std::array::from_fn(|i| by_right[i] - (0..SHARED).map(|k| by_shared[k][i] * step[k]).sum::<f64>())
+    };
     (arms.iter().map(pose).collect(), step[0])
 }
 
@@ -429,12 +429,6 @@ impl Arm {
             -(0..JACOBIAN_COLUMNS).map(|j| acts[j][k] * sums.right[j]).sum::<f64>() - along(k, &by_right)
         });
         Some(Self { by_right, by_shared, tip, tip_right })
-    }
-
-    fn pose_step(&self, shared: &[f64; SHARED]) -> Pose {
-        std::array::from_fn(|i| {
-            self.by_right[i] - (0..SHARED).map(|k| self.by_shared[k][i] * shared[k]).sum::<f64>()
-        })
     }
 }
 

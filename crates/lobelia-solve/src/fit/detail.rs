@@ -23,28 +23,22 @@
 use crate::fit::groups::{end_turns, groups_of_views};
 use crate::fit::observe::{observed_in, spawn_samples, usable_by_view, usable_pixels};
 use crate::fit::{components::TexelSeen, exposure::Exposures, metal::Metals};
-use crate::shade::frame::{add_gathering, add_material_resources, trace_samples};
-use crate::shade::shade_closed_form;
+use crate::shade::{frame::add_gathering, frame::trace_samples, shade_closed_form};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, World};
 use glam::{Mat2, Mat3, Vec2, Vec3};
 use half::f16;
-use lobelia_geometry::Result;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::parallel;
 use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex};
+use lobelia_geometry::{Result, error::stop::is_stopping, parallel};
 use lobelia_sg::ray::TexelAddress;
 use lobelia_sg::shading::{ClosedForm, Layers, ShadePoint};
 use lobelia_world::light::lights::{LightChoice, provide_light};
-use lobelia_world::light::placement::GroupInTurn;
 use lobelia_world::material::diffuse::{KnownAlong, MOST_TILT, along_surface, grazing, has_sheen};
-use lobelia_world::material::material_source::RecoveredMaterial;
 use lobelia_world::material::{Diffuse, SpecularBlend, TexelIndex, recovered_materials};
 use lobelia_world::pipeline::pool::{read_column, write_column};
 use lobelia_world::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
-use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay};
-use lobelia_world::sample::point::SurfacePoint;
-use lobelia_world::sample::{despawn_pool, pixel::Window};
+use lobelia_world::sample::{Samples, despawn_pool, pixel::Window, point::SurfacePoint};
+use lobelia_world::{light::placement::GroupInTurn, material::material_source::RecoveredMaterial};
 use std::ops::ControlFlow;
 use tracing::info_span;
 
@@ -79,7 +73,6 @@ pub struct DetailPlugin;
 impl Plugin for DetailPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline.world.init_resource::<DetailPixels>();
-        add_material_resources::<RecoveredMaterial>(&mut pipeline.world);
         add_gathering::<RecoveredMaterial>(pipeline, Phase::Detail);
         pipeline
             .add_systems(Phase::Detail, Stage::Sample, show_pixels)

@@ -21,18 +21,15 @@ use crate::fit::{components::Unknowns, loss::radiance};
 use crate::shade::systems::kernel_specular;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
-use lobelia_geometry::Result;
-use lobelia_geometry::parallel;
+use lobelia_geometry::{Result, parallel};
 use lobelia_sg::linear::{cholesky, solve_factored};
 use lobelia_sg::shading::{ClosedForm, Lighting, LobeColumns, LobeVisibility, ShadePoint, SpecularValue};
 use lobelia_sg::{fibonacci::fibonacci_axes, sg::sphere_integral, shading::RESPONSE_ROWS};
 use lobelia_world::light::{LightLobe, lights::own_lobes};
 use lobelia_world::material::{SpecularLobe, recovered_albedo, recovered_materials};
-use lobelia_world::pipeline::FitForm;
-use lobelia_world::sample::Observation;
+use lobelia_world::{pipeline::FitForm, sample::Observation};
 use serde::{Deserialize, Serialize};
-use std::ops::Range;
-use std::{collections::HashMap, f32::consts::FRAC_1_PI};
+use std::{collections::HashMap, f32::consts::FRAC_1_PI, ops::Range};
 
 /// Cells along the longest side of the object whose pixels have residuals that may be alike, and
 /// patches along it whose albedo has a factor.
@@ -489,8 +486,7 @@ impl Posterior {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lobelia_sg::shading::Layers;
-    use lobelia_sg::{brdf::Ndf, published::Lobe};
+    use lobelia_sg::{brdf::Ndf, published::Lobe, shading::Layers};
     use lobelia_world::sample::point::SurfacePoint;
 
     #[test]

@@ -9,12 +9,9 @@ use crate::fit::components::StepRates;
 use bevy_ecs::prelude::{Res, ResMut, Resource};
 use glam::{DVec3, Vec3};
 use lobelia_geometry::view::ViewIndex;
-use lobelia_sg::shading::Layers;
-use lobelia_sg::statistics::quantile;
-use lobelia_world::light::placement::LightGroup;
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::Samples;
+use lobelia_sg::{shading::Layers, statistics::quantile};
 use lobelia_world::sample::pixel::{Observed, PixelOf, SATURATION};
+use lobelia_world::{light::placement::LightGroup, pipeline::SystemResult, sample::Samples};
 use serde::{Deserialize, Serialize};
 
 /// Decay factor of the sums, per window.

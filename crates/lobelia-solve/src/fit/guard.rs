@@ -16,15 +16,11 @@ use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
 use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
 use lobelia_geometry::{Error, Result};
 use lobelia_sg::shading::{Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint};
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::groups::FittedLobe;
-use lobelia_world::light::lights::IncidentLight;
+use lobelia_world::light::{LightLobe, groups::FittedLobe, lights::IncidentLight};
 use lobelia_world::material::{Diffuse, SpecularBlend, SpecularLobe, TexelIndex};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::with_columns;
-use lobelia_world::sample::Samples;
+use lobelia_world::pipeline::{SystemResult, pool::with_columns};
 use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::point::SurfacePoint;
+use lobelia_world::sample::{Samples, point::SurfacePoint};
 use serde::{Deserialize, Serialize};
 
 /// Steps in a row that may be taken back; one more ends the fit.

@@ -12,26 +12,21 @@ use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
 use bevy_ecs::prelude::{With, World};
 use bevy_ecs::system::SystemState;
 use glam::{DVec3, Mat3, Vec3};
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::parallel;
 use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
-use lobelia_geometry::{Error, Result};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted, parallel};
 use lobelia_sg::linear::descend_nonnegative;
 use lobelia_sg::shading::{
     ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, PointVisibility, ShadePoint, SpecularValue,
 };
 use lobelia_sg::{brdf::Ndf, color::luminance, published::Lobe, sg::sphere_integral, shading::RESPONSE_ROWS};
-use lobelia_world::light::LightLobe;
 use lobelia_world::light::groups::{all_lights, entities_of_group, light_groups};
 use lobelia_world::light::placement::{LightGroup, PlacedFrame};
-use lobelia_world::material::diffuse::write_albedo;
 use lobelia_world::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, USUAL_ALBEDO, recovered_albedo, recovered_materials,
 };
-use lobelia_world::sample::point::SurfacePoint;
-use lobelia_world::sample::{Observation, Observations, light_rotations};
-use std::ops::Range;
-use std::{borrow::Cow, f32::consts::FRAC_1_PI};
+use lobelia_world::sample::{Observation, Observations, light_rotations, point::SurfacePoint};
+use lobelia_world::{light::LightLobe, material::diffuse::write_albedo};
+use std::{borrow::Cow, f32::consts::FRAC_1_PI, ops::Range};
 use tracing::info_span;
 
 /// Most pixels in a solve for the amplitudes.

@@ -4,8 +4,7 @@
 use crate::fit::exposure::Exposures;
 use bevy_ecs::prelude::{Res, ResMut, Resource, With, World};
 use glam::Vec3;
-use lobelia_geometry::Result;
-use lobelia_geometry::view::ViewIndex;
+use lobelia_geometry::{Result, view::ViewIndex};
 use lobelia_sg::color::{luminance, srgb_from_linear};
 use lobelia_sg::shading::{Layers, RadianceAdjoint};
 use lobelia_world::pipeline::SystemResult;

@@ -5,16 +5,13 @@ use crate::fit::{cameras::cameras_move, components::TexelSeen, groups::groups_of
 use bevy_ecs::prelude::{Query, Res, Resource, With, World};
 use bevy_ecs::system::RunSystemOnce;
 use glam::Vec2;
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::parallel;
 use lobelia_geometry::view::{ByView, Camera, Photograph, StoredMask, ViewIndex};
 use lobelia_geometry::view::{PixelWindow, Split, ViewMask, glare_limit, raster::FULL_COVERAGE};
-use lobelia_geometry::{Error, Result};
+use lobelia_geometry::{Error, Result, error::stop::check_interrupted, parallel};
 use lobelia_sg::ray::{Intersect, TexelAddress};
 use lobelia_world::light::placement::Placements;
 use lobelia_world::material::{TexelIndex, Texels};
-use lobelia_world::pipeline::pool::Pool;
-use lobelia_world::pipeline::{Phase, Pipeline, SystemResult};
+use lobelia_world::pipeline::{Phase, Pipeline, SystemResult, pool::Pool};
 use lobelia_world::sample::pixel::{ImageGradient, Observed, PixelOf, SATURATION, SampleIndex, ViewRay};
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
 use lobelia_world::sample::{

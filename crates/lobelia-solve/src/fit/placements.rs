@@ -19,9 +19,8 @@ use crate::shade::systems::{kernel_specular, shade_materials, turned};
 use crate::{fit::exposure::Exposures, fit::loss::radiance, visibility::WindowVisibility};
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With, World};
 use glam::{DMat3, DVec3, Mat3, Quat, UVec3, Vec3};
-use lobelia_geometry::Result;
-use lobelia_geometry::error::stop::check_interrupted;
 use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, ViewIndex};
+use lobelia_geometry::{Result, error::stop::check_interrupted};
 use lobelia_sg::shading::{
     ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue,
 };
@@ -31,12 +30,10 @@ use lobelia_world::light::lights::{IncidentLight, own_lobes};
 use lobelia_world::light::placement::{
     LightGroup, PlacedFrame, PlacementTurn, Placements, TurnSource, light_from_world,
 };
-use lobelia_world::material::material_source::BaseMaterials;
-use lobelia_world::material::recovered_albedo;
+use lobelia_world::material::{material_source::BaseMaterials, recovered_albedo};
 use lobelia_world::pipeline::{FitForm, SystemResult};
 use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::point::PointBlend;
-use lobelia_world::sample::{Observation, Samples};
+use lobelia_world::sample::{Observation, Samples, point::PointBlend};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use tracing::info_span;

@@ -16,14 +16,10 @@ use bevy_ecs::prelude::{Query, Res, Resource, With, World};
 use glam::{DVec3, Vec3};
 use lobelia_geometry::Result;
 use lobelia_geometry::view::{AlbedoMap, ByView, NormalMap, PriorMap, ViewIndex};
-use lobelia_sg::ray::TexelAddress;
-use lobelia_sg::shading::PointAdjoint;
+use lobelia_sg::{ray::TexelAddress, shading::PointAdjoint};
 use lobelia_world::material::{TexelIndex, USUAL_ALBEDO};
-use lobelia_world::pipeline::pool::read_column;
-use lobelia_world::sample::pixel::PixelOf;
-use lobelia_world::sample::point::SurfacePoint;
-use lobelia_world::sample::{Observation, ObservationIndex, Samples};
-use lobelia_world::{material::diffuse::write_albedo, pipeline::SystemResult};
+use lobelia_world::sample::{Observation, ObservationIndex, Samples, pixel::PixelOf, point::SurfacePoint};
+use lobelia_world::{material::diffuse::write_albedo, pipeline::SystemResult, pipeline::pool::read_column};
 
 /// Rounds of the mean on each texel and the factor of each map.
 const ROUNDS: usize = 4;

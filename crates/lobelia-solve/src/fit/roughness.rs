@@ -14,13 +14,10 @@
 use crate::fit::components::{AdamStep, Bounded, Moments, StepGradient, StepRates, Unknowns};
 use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
 use glam::{UVec3, Vec3};
-use lobelia_geometry::mesh::atlas::TexelAtlas;
-use lobelia_geometry::parallel;
-use lobelia_world::material::material_source::BaseMaterials;
+use lobelia_geometry::{mesh::atlas::TexelAtlas, parallel};
 use lobelia_world::material::{Diffuse, MAX_SPECULAR_LOBES, SpecularBlend, Texels, texels_in_order};
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::point::SurfacePoint;
+use lobelia_world::sample::{Samples, point::SurfacePoint};
+use lobelia_world::{material::material_source::BaseMaterials, pipeline::SystemResult};
 use serde::{Deserialize, Serialize};
 
 /// One value per base material.
@@ -384,15 +381,15 @@ mod tests {
     fn adjoint_of_logits_is_that_of_the_softmax() {
         let logits = [0.3, -0.7, 0.1];
         let adjoint = [0.5, -1.0, 2.0];
-        let loss = |logits: [f64; 3]| {
+        let softmax = |logits: [f64; 3]| {
             let sum: f64 = logits.iter().map(|l| l.exp()).sum();
-            (0..3).map(|k| logits[k].exp() / sum * adjoint[k]).sum::<f64>()
+            logits.map(|l| l.exp() / sum)
         };
-        let sum: f64 = logits.iter().map(|l: &f64| l.exp()).sum();
+        let loss = |logits| softmax(logits).iter().zip(adjoint).map(|(w, g)| w * g).sum::<f64>();
         let mut weights = PerMaterial::default();
         let mut wide = PerMaterial::default();
         for k in 0..3 {
-            weights[k] = (logits[k].exp() / sum) as f32;
+            weights[k] = softmax(logits)[k] as f32;
             wide[k] = adjoint[k] as f32;
         }
         let found = logit_adjoint(&weights, &wide);

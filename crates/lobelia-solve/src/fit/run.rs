@@ -37,34 +37,28 @@ use crate::fit::systems::{
     closed_form_shader, compare_with_photographs, move_lobes, move_specular, move_texels, scatter_to_texels,
 };
 use crate::fit::{detail::DetailPlugin, metal::bound_diffuse_albedo};
-use crate::shade::frame::{add_gathering, add_material_resources};
+use crate::shade::frame::add_gathering;
 use crate::visibility::{ObjectVisibility, RefreshDue};
 use bevy_ecs::prelude::{
     Entity, IntoScheduleConfigs, Resource, SystemCondition, With, World, resource_exists,
 };
-use bevy_ecs::schedule::ScheduleConfigs;
-use bevy_ecs::system::ScheduleSystem;
-use bevy_ecs::{prelude::Bundle, query::QueryFilter};
+use bevy_ecs::{prelude::Bundle, query::QueryFilter, schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
 use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
-use lobelia_geometry::{Error, Result};
+use lobelia_geometry::{Error, Result, error::stop::is_stopping};
 use lobelia_sg::shading::ClosedForm;
 use lobelia_world::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_resource};
-use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::light::lights::{LightChoice, provide_light};
 use lobelia_world::light::placement::{GroupInTurn, Placements};
-use lobelia_world::light::{groups::FittedLobe, lobes_in_use};
-use lobelia_world::material::material_source::RecoveredMaterial;
+use lobelia_world::light::{LightLobe, groups::FittedLobe, lobes_in_use};
 use lobelia_world::material::{BaseMaterial, Diffuse, SpecularBlend, SpecularLobe, TexelIndex};
 use lobelia_world::material::{diffuse::has_tilt, first_material, texels_in_order};
-use lobelia_world::pipeline::pool::with_columns;
 use lobelia_world::pipeline::{FitForm, Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
 use lobelia_world::sample::{ObservedWindow, despawn_pool, pixel::Window};
+use lobelia_world::{material::material_source::RecoveredMaterial, pipeline::pool::with_columns};
 use serde::{Deserialize, Serialize};
-use std::ops::ControlFlow;
-use std::time::Instant;
+use std::{ops::ControlFlow, time::Instant};
 use tracing::info_span;
 
 /// Settings of a fit.
@@ -134,16 +128,6 @@ impl Default for FitOptions {
 }
 
 impl FitOptions {
-    /// How many pixels the steps visit: fewer before the first milestone.
-    fn step_pixels(&self) -> StepPixels {
-        StepPixels {
-            early: (self.early * self.batch as f32).ceil() as usize,
-            late: self.batch,
-            until: self.milestones.iter().copied().fold(f32::INFINITY, f32::min),
-            steps: self.steps,
-        }
-    }
-
     /// The rates of a step, from 1, which is a visit to its group.
     fn rates_at(&self, step: u32, visit: u32) -> StepRates {
         let progress = (step - 1) as f32 / self.steps as f32;
@@ -238,7 +222,6 @@ impl Plugin for FitPlugin {
         world.init_resource::<ViewSums>();
         world.init_resource::<RecentSums>();
         keep_state(world);
-        add_material_resources::<RecoveredMaterial>(world);
         add_gathering::<RecoveredMaterial>(pipeline, Phase::FitStep);
         let exposures = find_exposures.run_if(step_is_sound);
         let residuals = (note_residuals, sum_by_view).chain().run_if(step_is_sound);
@@ -304,7 +287,12 @@ fn fit(
     let elapsed = || before + start.elapsed().as_secs_f64();
     let mut summary = FitSummary { steps: done, pixels, elapsed_secs: before, ..FitSummary::default() };
     let every = refresh_every(&pipeline.world);
-    let mut turns = Turns::new(&mut pipeline.world, options.step_pixels(), every).until(options.steps);
+    let FitOptions { batch: late, steps, ref milestones, .. } = *options;
+    // Fewer before the first milestone.
+    let early = (options.early * late as f32).ceil() as usize;
+    let until = milestones.iter().copied().fold(f32::INFINITY, f32::min);
+    let pixels_of_step = StepPixels { early, late, until, steps };
+    let mut turns = Turns::new(&mut pipeline.world, pixels_of_step, every).until(steps);
     (0..done).for_each(|_| _ = turns.next());
     for step in done + 1..=options.steps {
         choose_sheen(&mut pipeline.world, (step - 1) as f32 / options.steps as f32);

@@ -18,18 +18,15 @@ use crate::fit::components::{AdamStep, Moments, StepRates, TexelSeen, Unknowns};
 use crate::fit::metal::{Metals, metalness};
 use bevy_ecs::prelude::{DetectChangesMut, Query, Res, ResMut, Resource, World};
 use glam::{DVec3, Vec3, Vec4};
-use lobelia_geometry::Result;
-use lobelia_geometry::parallel;
+use lobelia_geometry::{Result, parallel};
 use lobelia_sg::sg::sphere_integral;
 use lobelia_sg::shading::{Layers, RadianceAdjoint, ShadePoint};
 use lobelia_world::light::LightLobe;
 use lobelia_world::material::{
     BaseMaterial, Diffuse, SpecularBlend, SpecularLobe, TexelIndex, Texels, USUAL_ALBEDO, recovered_albedo,
 };
-use lobelia_world::pipeline::SystemResult;
-use lobelia_world::pipeline::pool::with_columns;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::point::PointBlend;
+use lobelia_world::pipeline::{SystemResult, pool::with_columns};
+use lobelia_world::sample::{Samples, point::PointBlend};
 use lobelia_world::{light::groups::FittedLobe, light::lights::own_lobes, material::diffuse::write_albedo};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;

@@ -21,9 +21,8 @@ use lobelia_sg::shading::{Layers, PointAdjoint, ShadePoint};
 use lobelia_world::material::diffuse::{KnownAlong, grazing, has_sheen};
 use lobelia_world::material::{Diffuse, TexelIndex, Texels};
 use lobelia_world::pipeline::{SystemResult, pool::with_columns};
-use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{Observed, PixelOf};
-use lobelia_world::sample::point::SurfacePoint;
+use lobelia_world::sample::{Samples, point::SurfacePoint};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -13,18 +13,15 @@ use crate::shade::device::{ShadingDevice, failed, loops_of};
 use crate::shade::systems::{Showing, kernel_materials, shade_closed_form};
 use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut};
-use bevy_ecs::schedule::ScheduleConfigs;
-use bevy_ecs::system::ScheduleSystem;
+use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::Vec3;
 use lobelia_geometry::parallel;
 use lobelia_sg::shading::{
     CHUNK, ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, PointAdjoint, PointVisibility,
     RadianceAdjoint, RadianceColumns, ShadeCall, ShadePoint, SharedGradient, SpecularAdjoint, SpecularValue,
 };
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::lights::IncidentLight;
-use lobelia_world::material::material_source::BaseMaterials;
-use lobelia_world::material::{BaseMaterial, Diffuse, SpecularLobe, Texels};
+use lobelia_world::light::{LightLobe, lights::IncidentLight};
+use lobelia_world::material::{BaseMaterial, Diffuse, SpecularLobe, Texels, material_source::BaseMaterials};
 use lobelia_world::pipeline::{Shader, SystemResult};
 use lobelia_world::sample::pixel::{Observed, PixelOf};
 use lobelia_world::sample::point::{PointBlend, SurfacePoint};
@@ -296,13 +293,12 @@ fn pull_back_chunk(
             blend_adjoints[*i][*number] = (0..3).map(|c| adjoint.0[c] * value.specular[c]).sum();
             value.diffuse = shaded[*i].diffuse;
         }
-        let mut is_first = first.iter();
-        showing.change_seen(|i, seen| {
-            seen.specular = seen.specular.map(|s| s * blends[i].0[*number]);
-            if is_first.next() == Some(&false) {
+        for ((i, seen), first) in showing.numbers.iter().zip(&mut showing.seen).zip(&first) {
+            seen.specular = seen.specular.map(|s| s * blends[*i].0[*number]);
+            if !first {
                 seen.indirect = [0.0; 3];
             }
-        });
+        }
         let (mut own, mut shared) = (vec![PointAdjoint::default(); first.len()], SharedGradient::default());
         let radiance = RadianceColumns { shaded: &layers, adjoint: &adjoint };
         let lighting = showing.lighting(lighting);

@@ -27,8 +27,7 @@ use super::systems::{gather_blends, gather_points, shade_closed_form};
 use crate::visibility::{WindowVisibility, forget_window};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, With, World};
 use glam::Vec3;
-use lobelia_geometry::error::stop::check_interrupted;
-use lobelia_geometry::error::{Error, Result};
+use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
 use lobelia_geometry::parallel;
 use lobelia_geometry::view::{BLOCK_ROWS, Camera, Frame, ViewIndex};
 use lobelia_sg::shading::{ClosedForm, Layers, ShadePoint};
@@ -154,7 +153,6 @@ pub struct FramePlugin;
 
 impl Plugin for FramePlugin {
     fn build(&self, pipeline: &mut Pipeline) {
-        add_material_resources::<ShownMaterial>(&mut pipeline.world);
         pipeline
             .add_systems(Phase::Frame, Stage::Sample, sample_pixels)
             .add_systems(Phase::Frame, Stage::Trace, trace_samples)
@@ -166,18 +164,15 @@ impl Plugin for FramePlugin {
     }
 }
 
-/// Inserts the resources that the Gather stage writes.
-pub fn add_material_resources<M: MaterialSource>(world: &mut World) {
+/// Adds the systems of [`GatherPoints`]: base materials, albedo and blends of a material at the
+/// points of the window, of which no visibility is known yet; and what the Gather stage writes.
+pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
+    let world = &mut pipeline.world;
     world.init_resource::<Window>();
     world.init_resource::<IncidentLight>();
     world.init_resource::<BaseMaterials>();
     world.init_resource::<PlainBlends<M>>();
     world.init_resource::<WindowVisibility>();
-}
-
-/// Adds the systems of [`GatherPoints`]: base materials, albedo and blends of a material at the
-/// points of the window, of which no visibility is known yet.
-pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
     let materials =
         (note_plain_blends::<M>.run_if(blends_changed::<M>), gather_materials::<M>, gather_blends::<M>);
     pipeline.add_systems(phase, Stage::Gather, (forget_window, gather_points::<M>).in_set(GatherPoints));
@@ -374,9 +369,7 @@ mod tests {
         let error = check_memory("a map", 16_384, 16_384, 51 << 30).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         let text = error.to_string();
-        assert!(
-            text.contains("a map of 16384×16384 pixels takes 51.0 GiB") && text.contains("8 GiB"),
-            "{text}"
-        );
+        assert!(text.contains("a map of 16384×16384 pixels takes 51.0 GiB"), "{text}");
+        assert!(text.contains("the limit is 8 GiB"), "{text}");
     }
 }

@@ -8,8 +8,7 @@ use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res};
 use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::{Mat3, Vec3};
-use lobelia_geometry::error::Error;
-use lobelia_geometry::parallel;
+use lobelia_geometry::{error::Error, parallel};
 use lobelia_sg::shading::{
     ClosedForm, Layers, Lighting, LobeVisibility, PointVisibility, ShadeCall, ShadePoint, SpecularValue,
 };
@@ -147,8 +146,9 @@ pub(crate) struct Showing {
     pub numbers: Vec<usize>,
     /// The points.
     pub points: Vec<ShadePoint>,
+    /// Their visibility.
+    pub seen: Vec<PointVisibility>,
     rows: Vec<u8>,
-    seen: Vec<PointVisibility>,
 }
 
 impl Showing {
@@ -179,11 +179,6 @@ impl Showing {
     pub fn lighting<'a>(&'a self, all: Lighting<'a>) -> Lighting<'a> {
         let visibility = LobeVisibility { lobes: &self.rows, points: &self.seen };
         Lighting { visibility: all.visibility.map(|_| visibility), ..all }
-    }
-
-    /// Their visibility, each changed by `change`.
-    pub fn change_seen(&mut self, mut change: impl FnMut(usize, &mut PointVisibility)) {
-        self.numbers.iter().zip(&mut self.seen).for_each(|(i, seen)| change(*i, seen));
     }
 }
 

@@ -9,8 +9,7 @@
 use bevy_ecs::prelude::Resource;
 use glam::{UVec3, Vec3, Vec4};
 use lobelia_geometry::parallel;
-use lobelia_geometry::sdf::SdfGrid;
-use lobelia_geometry::sdf::volume::SdfSurface;
+use lobelia_geometry::sdf::{SdfGrid, volume::SdfSurface};
 
 pub(crate) const BRICK_SIDE: u32 = 8;
 pub(crate) const BRICK_LEN: usize = 512;

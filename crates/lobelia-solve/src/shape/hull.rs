@@ -23,12 +23,8 @@
 use crate::shape::silhouette::{MIN_VIEWS, Sighting, Silhouette};
 use glam::{Mat3, Vec3};
 use lobelia_geometry::error::stop::{check_interrupted, is_stopping};
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::parallel;
-use lobelia_geometry::sdf::SdfGrid;
-use lobelia_geometry::view::StoredMask;
-use lobelia_geometry::{Error, Result};
+use lobelia_geometry::mesh::{bvh::TriangleBvh, triangles::Mesh};
+use lobelia_geometry::{Error, Result, parallel, sdf::SdfGrid, view::StoredMask};
 use lobelia_geometry::{sdf::extract::extract_components, view::Mask, view::raster::signed_distance};
 use lobelia_sg::ray::Ray;
 

@@ -17,11 +17,8 @@ use crate::shape::hull::extract_parts;
 use crate::shape::shell::{Plate, Shell, area_vector};
 use crate::shape::silhouette::{Sighting, Silhouette};
 use glam::{IVec3, UVec3, Vec2, Vec3};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
 use lobelia_geometry::mesh::triangles::{Side, sorted_sides};
-use lobelia_geometry::parallel;
-use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::{error::stop::is_stopping, mesh::bvh::TriangleBvh, parallel, sdf::SdfGrid};
 use lobelia_sg::ray::Ray;
 use std::sync::Arc;
 
@@ -309,8 +306,7 @@ mod tests {
     use super::*;
     use crate::shape::silhouette::pixel_size;
     use crate::shape::test_support::{around, mask};
-    use lobelia_geometry::view::Camera;
-    use lobelia_geometry::{mesh::primitive::sphere_mesh, sdf::extract::extract_mesh};
+    use lobelia_geometry::{mesh::primitive::sphere_mesh, sdf::extract::extract_mesh, view::Camera};
 
     /// Masks of a ball around the origin, seen from all around, with anti-aliased outlines.
     fn ball(radius: f32) -> Vec<Silhouette> {

@@ -4,13 +4,9 @@
 use crate::fit::loss::coded_luminance;
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use glam::{Vec3, Vec3A};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::parallel;
 use lobelia_geometry::view::{Camera, Photograph, PixelWindow, Placement, StoredMask, ViewIndex};
-use lobelia_sg::color::srgb_from_linear;
-use lobelia_sg::ray::Ray;
-use lobelia_sg::statistics::median;
+use lobelia_geometry::{error::stop::is_stopping, mesh::bvh::TriangleBvh, parallel};
+use lobelia_sg::{color::srgb_from_linear, ray::Ray, statistics::median};
 use std::ops::RangeInclusive;
 
 /// Coverage of a block of pixels from which it shows the object alone.

@@ -2,8 +2,7 @@
 //! plates on it.
 
 use glam::Vec3;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::parallel;
+use lobelia_geometry::{mesh::triangles::Mesh, parallel};
 use lobelia_sg::linear::conjugate_gradients;
 
 /// Iterations of conjugate gradients for smoothing, and for plates.

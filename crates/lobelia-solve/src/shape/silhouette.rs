@@ -11,9 +11,8 @@ use crate::shape::{flood, neighbors};
 use bevy_ecs::prelude::Resource;
 use glam::{Vec2, Vec3};
 use half::f16;
-use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::view::{Camera, StoredMask, ViewIndex};
-use lobelia_geometry::{sdf::LeastDistance, view::PixelWindow, view::raster::signed_distance};
+use lobelia_geometry::{sdf::LeastDistance, sdf::SdfGrid, view::PixelWindow, view::raster::signed_distance};
 use lobelia_sg::ray::Ray;
 use lobelia_world::sample::pixel::PixelOf;
 

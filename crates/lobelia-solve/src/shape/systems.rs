@@ -11,15 +11,13 @@ use crate::shape::field::{
 use crate::shape::silhouette::{SilhouetteSamples, aligned_silhouette, loss_derivative};
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With};
 use glam::{Vec3, Vec4};
-use lobelia_geometry::parallel;
-use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::view::{ByView, Camera, Photograph, ViewIndex};
+use lobelia_geometry::{parallel, sdf::SdfGrid};
 use lobelia_sg::shading::{Layers, PointAdjoint};
 use lobelia_world::material::{Diffuse, Texels};
 use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::Samples;
 use lobelia_world::sample::pixel::{Observed, PixelOf, ViewRay};
-use lobelia_world::sample::point::SurfacePoint;
+use lobelia_world::sample::{Samples, point::SurfacePoint};
 use std::ops::Range;
 
 /// Schedule of the optimization of the shape.

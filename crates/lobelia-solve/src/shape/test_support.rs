@@ -2,9 +2,8 @@
 
 use crate::shape::{pictures::TrainingView, silhouette::Silhouette};
 use glam::Vec3;
-use lobelia_geometry::parallel;
-use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::view::{Camera, Image, Mask, Photograph, Placement, StoredMask, ViewIndex};
+use lobelia_geometry::{parallel, sdf::SdfGrid};
 use lobelia_sg::ray::{Hit, Intersect, Ray, TexelAddress};
 
 pub(crate) fn around(count: usize, distance: f32, size: u32) -> Vec<Camera> {

@@ -11,9 +11,7 @@
 
 use crate::shape::{cube, is_border, silhouette::Silhouette, volume};
 use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::parallel;
-use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::{error::stop::is_stopping, parallel, sdf::SdfGrid};
 
 /// Cosine of the angle between ray and normal from which one view, and from which each of two, sees
 /// a surface: flatter rays only touch the cone that the masks leave.

@@ -14,15 +14,12 @@ use crate::shape::systems::{OUTLIER, root_mean_square};
 use crate::{fit::components::StepRates, shape::outline::OutlineGuide, shape::silhouette::Silhouette};
 use bevy_ecs::prelude::{Res, ResMut, Resource};
 use glam::Vec3;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::mesh::{Surface, bvh::TriangleHit};
+use lobelia_geometry::mesh::{Surface, bvh::TriangleBvh, bvh::TriangleHit, triangles::Mesh};
 use lobelia_geometry::parallel;
 use lobelia_sg::shading::PointAdjoint;
 use lobelia_world::pipeline::SystemResult;
-use lobelia_world::sample::Samples;
-use lobelia_world::sample::pixel::ViewRay;
 use lobelia_world::sample::point::{Scenery, SurfacePoint};
+use lobelia_world::sample::{Samples, pixel::ViewRay};
 use std::sync::Arc;
 
 /// Steps between two moves; adjoints are summed over these.
@@ -155,8 +152,7 @@ pub fn move_vertices(rates: Res<StepRates>, mut mesh: ResMut<MovingMesh>, mut sc
     if moved.iter().any(|at| !at.is_finite()) {
         return moments.fill(0.0);
     }
-    let mut placed = surface.mesh().clone();
-    place(&mut placed, &shell.graph, &moved);
+    let mut found = placed(surface.mesh(), &shell.graph, &moved);
     // Every few moves, and at the last one, back to the outlines of the masks as far as contours
     // have left them.
     let is_last = rates.step + MOVE_EVERY > *steps;
@@ -164,13 +160,12 @@ pub fn move_vertices(rates: Res<StepRates>, mut mesh: ResMut<MovingMesh>, mut sc
         && (is_last || (rates.step / MOVE_EVERY).is_multiple_of(OUTLINES_EVERY))
     {
         shell.move_to(moved);
-        let along = outlines.displacements(shell, &TriangleBvh::new(&placed));
+        let along = outlines.displacements(shell, &TriangleBvh::new(&found));
         let to = |(i, by): (usize, &f32)| shell.positions[i] + shell.normals[i] * by.clamp(-reach, reach);
         moved = along.iter().enumerate().map(to).collect();
-        placed = surface.mesh().clone();
-        place(&mut placed, &shell.graph, &moved);
+        found = placed(surface.mesh(), &shell.graph, &moved);
     }
-    if let Ok(found) = Surface::new(placed, surface.atlas().width) {
+    if let Ok(found) = Surface::new(found, surface.atlas().width) {
         *surface = Arc::new(found);
         scenery.0 = surface.clone();
         *positions = moved;
@@ -200,13 +195,14 @@ fn smooth_steps(graph: &VertexGraph, at: &[Vec3], by_normal: &[Vec3], moments: &
     along.iter().zip(&normals).map(|(along, normal)| *normal * (along / rms)).collect()
 }
 
-/// Moves the vertices of a mesh to positions of merged ones, with smooth normals.
-fn place(mesh: &mut Mesh, graph: &VertexGraph, positions: &[Vec3]) {
-    let normals = graph.area_vectors(positions);
+/// A mesh whose vertices have the positions of merged ones, with smooth normals.
+fn placed(mesh: &Mesh, graph: &VertexGraph, positions: &[Vec3]) -> Mesh {
+    let (mut mesh, normals) = (mesh.clone(), graph.area_vectors(positions));
     for (vertex, of) in graph.of.iter().map(|of| *of as usize).enumerate() {
         mesh.positions[vertex] = positions[of];
         mesh.normals[vertex] = normals[of].try_normalize().unwrap_or(mesh.normals[vertex]);
     }
+    mesh
 }
 
 #[cfg(test)]

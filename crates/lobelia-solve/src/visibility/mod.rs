@@ -5,13 +5,6 @@
 //! is filled ([`see_material`], [`see_material_of_step`]), if the world has an
 //! [`ObjectVisibility`]; else all light reaches every point.
 //!
-//! | module | holds |
-//! | --- | --- |
-//! | `object_visibility` | [`ObjectVisibility`]: the occlusion of an object, and the light on it; the visibility of points |
-//! | `texel_visibility` | the occluded directions of each texel, and the texels that occlude them |
-//! | `occlusion` | kernels: light on a set of directions, and the part of it that reaches texels |
-//! | `point_visibility` | kernels: the part of it that reaches points, and what narrow lobes mirror of the object |
-//!
 //! Diffuse light has one factor per texel and lobe, interpolated at the point like albedo, so that
 //! the light can be fitted with it. Specular light has one per point, for the mirror direction and
 //! the mean roughness of the base materials there. In the adjoint all factors and the
@@ -43,12 +36,10 @@ pub mod texel_visibility;
 use bevy_ecs::prelude::{
     Changed, IntoScheduleConfigs, Or, Query, Res, ResMut, Resource, SystemCondition, resource_exists,
 };
-use bevy_ecs::schedule::ScheduleConfigs;
-use bevy_ecs::system::ScheduleSystem;
+use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use lobelia_sg::shading::PointVisibility;
-use lobelia_world::light::LightLobe;
-use lobelia_world::light::lights::IncidentLight;
 use lobelia_world::light::placement::{GroupInTurn, LightGroup};
+use lobelia_world::light::{LightLobe, lights::IncidentLight};
 use lobelia_world::material::material_source::{
     BaseMaterials, ColumnOf, Holds, MaterialSource, RecoveredMaterial, TexelColumns,
 };

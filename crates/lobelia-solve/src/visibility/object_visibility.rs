@@ -7,15 +7,12 @@ use crate::visibility::point_visibility::{
 use crate::visibility::texel_visibility::TexelVisibility;
 use bevy_ecs::prelude::{Entity, Resource};
 use glam::{Mat3, Vec3};
-use lobelia_geometry::mesh::Surface;
-use lobelia_geometry::parallel;
+use lobelia_geometry::{mesh::Surface, parallel};
 use lobelia_sg::fibonacci::fibonacci_axes;
 use lobelia_sg::shading::{LobeColumns, LobeVisibility, PointVisibility};
 use lobelia_world::light::placement::LightGroup;
-use lobelia_world::sample::pixel::PixelOf;
-use lobelia_world::sample::point::SurfacePoint;
-use std::any::TypeId;
-use std::{collections::BTreeMap, sync::Arc};
+use lobelia_world::sample::{pixel::PixelOf, point::SurfacePoint};
+use std::{any::TypeId, collections::BTreeMap, sync::Arc};
 
 /// Angle below which two rotations count as one: 2°.
 const SAME_TURN: f32 = 0.035;

@@ -9,10 +9,9 @@ use crate::visibility::occlusion::{Bounce, Cones, MOST_MIRRORED, Mirror, Sky, sh
 use crate::visibility::texel_visibility::{MAX_DIRECTIONS, OFFSET, TOGETHER, TexelVisibility};
 use fearless_simd::Simd;
 use glam::{Mat3, Vec3};
-use lobelia_sg::ray::Intersect;
 use lobelia_sg::real::{Real, dot};
-use lobelia_sg::shading::PointVisibility;
 use lobelia_sg::{brdf::ndf_sharpness, color::luminance, lanes::Lanes, ray::Hit};
+use lobelia_sg::{ray::Intersect, shading::PointVisibility};
 use lobelia_world::sample::pixel::PixelOf;
 use std::{f32::consts::PI, sync::LazyLock};
 
@@ -321,8 +320,7 @@ fn weigh_directions<S: Simd>(
 mod tests {
     use super::*;
     use crate::{shape::test_support::Wall, visibility::texel_visibility::cluster};
-    use lobelia_sg::shading::LobeColumns;
-    use lobelia_sg::{fibonacci::fibonacci_axes, sg::Lobe};
+    use lobelia_sg::{fibonacci::fibonacci_axes, sg::Lobe, shading::LobeColumns};
     use std::f32::consts::LN_2;
 
     static WALL: Wall = Wall(Vec3::X);

@@ -12,9 +12,7 @@
 //! Memory per row: one bit per direction, and 4 bytes per occluded direction.
 
 use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::atlas::TexelAtlas;
-use lobelia_geometry::parallel;
+use lobelia_geometry::{error::stop::is_stopping, mesh::atlas::TexelAtlas, parallel};
 use lobelia_sg::ray::Intersect;
 
 /// Most directions.
@@ -264,9 +262,8 @@ fn heaviest(address: &lobelia_sg::ray::TexelAddress) -> u32 {
 mod tests {
     use super::*;
     use glam::Vec3Swizzles;
-    use lobelia_geometry::mesh::Surface;
     use lobelia_geometry::mesh::primitive::{ball_over_plate, box_mesh, sphere_mesh};
-    use lobelia_geometry::mesh::triangles::Mesh;
+    use lobelia_geometry::mesh::{Surface, triangles::Mesh};
     use lobelia_sg::fibonacci::fibonacci_axes;
 
     fn traced(mesh: Mesh) -> (Surface, TexelVisibility) {

@@ -5,10 +5,8 @@
 //! [`LightGroup`]; its lobes refer to it by [`LobeOf`] and are marked as [`GroupLobe`]. Which of
 //! them shines, [`GroupInTurn`](super::placement::GroupInTurn) says.
 
-use super::illuminate::MapLight;
 use super::lights::{LightMap, LobeOf, LobesOf};
-use super::lobe::LightLobe;
-use super::placement::LightGroup;
+use super::{illuminate::MapLight, lobe::LightLobe, placement::LightGroup};
 use bevy_ecs::prelude::{Component, Entity, Or, With, Without, World};
 use std::sync::Arc;
 

@@ -5,12 +5,6 @@
 //! Lobes keep their axes in the light's own frame, which is a rotation per view away from the
 //! world: surface normals and view directions are rotated into it, and nothing else of shading
 //! changes.
-//!
-//! | frame | x, y, z of the light | for |
-//! | --- | --- | --- |
-//! | `World` | the world's | a camera that goes around the object |
-//! | `Camera` | right, up and backward in the picture | a turntable before one camera, lamps that move with the camera |
-//! | `Turntable(axis)` | the world's, turned about `axis` so that the camera is always on one side | a turntable before a camera that is raised or tilted between rounds |
 
 use bevy_ecs::prelude::{Component, Resource};
 use glam::{Mat3, Quat, Vec3};
@@ -22,10 +16,11 @@ pub enum LightFrame {
     /// The world: the object and the light do not move.
     #[default]
     World,
-    /// The camera.
+    /// The camera, with axes right, up and backward in the picture: lamps that move with it, or a
+    /// turntable before one camera.
     Camera,
-    /// A frame that turns about this axis with the camera, which stands before a turntable at any
-    /// height: `Turntable(0, 1, 0)`.
+    /// The world turned about this axis so that the camera, which stands before a turntable at any
+    /// height, is always on one side: `Turntable(0, 1, 0)`.
     Turntable(Vec3),
 }
 

@@ -5,10 +5,6 @@
 //! spawning a named light and swapping in [`provide_light`] with its name; closed forms and the
 //! path tracer both use it.
 //!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LobesOf`], [`LightName`], [`LightGroup`], [`LightMap`], [`LightFrame`], [`OwnLightFrame`], [`Placements`], [`PicturePlacement`], [`GroupInTurn`] | [`IncidentLight`] |
-//!
 //! ```
 //! use glam::Vec3;
 //! use lobelia_world::light::LightLobe;

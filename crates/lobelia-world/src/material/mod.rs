@@ -7,13 +7,6 @@
 //! The result of a fit is the *recovered* material. The system in
 //! [`Slot::Material`](crate::pipeline::Slot::Material) computes the *shown* material from it, in
 //! separate components ([`Shown`]).
-//!
-//! | module | holds |
-//! | --- | --- |
-//! | [`shown`] | the shown material and its systems: as recovered, or edited |
-//! | [`diffuse`] | diffuse albedo that depends on the angle and the side of view |
-//! | [`edit`] | edits as components, and the kernel that applies them |
-//! | [`material_source`] | traits for systems that read the recovered or the shown material |
 
 pub mod diffuse;
 pub mod edit;

@@ -33,18 +33,6 @@ fn trail(pipeline: &mut Pipeline) -> String {
 }
 
 #[test]
-fn stages_run_in_order_and_slots_can_be_swapped() -> Result<()> {
-    let mut pipeline = pipeline();
-    pipeline.run(Phase::Frame)?;
-    pipeline.swap(Phase::Frame, Slot::Shading, say("otherwise"));
-    pipeline.run(Phase::Frame)?;
-    pipeline.swap(Phase::Frame, Slot::Shading, say("shade"));
-    pipeline.run(Phase::Frame)?;
-    assert_eq!(trail(&mut pipeline), "sample shade write sample otherwise write sample shade write");
-    Ok(())
-}
-
-#[test]
 fn a_system_error_stops_the_run_and_reaches_the_caller_whole() {
     let mut pipeline = pipeline();
     pipeline.swap(Phase::Frame, Slot::Shading, fail);

@@ -3,11 +3,6 @@
 //!
 //! The pool of observed pixels holds all pixels that a fit may visit; the pool of samples holds
 //! those of one step.
-//!
-//! | module | holds |
-//! | --- | --- |
-//! | [`pixel`] | the pixel of a sample, its ray, its radiance in the photograph; the [`Window`] of a run |
-//! | [`point`] | its surface point; the [`Scenery`] that rays are cast against |
 
 pub mod pixel;
 pub mod point;

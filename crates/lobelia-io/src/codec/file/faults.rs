@@ -97,7 +97,7 @@ mod tests {
     };
     use glam::Vec3;
     use image::{Rgb, RgbImage};
-    use lobelia_geometry::{Result, mesh::primitive::box_mesh};
+    use lobelia_geometry::{Error, Result, mesh::primitive::box_mesh};
     use lobelia_world::light::LightLobe;
     use std::path::Path;
 
@@ -200,13 +200,7 @@ mod tests {
                     };
                     let said = error.to_string();
                     assert!(said.contains(name) && error.exit_code() == 1, "{said}");
-                    assert!(
-                        matches!(
-                            error,
-                            lobelia_geometry::Error::Io { .. } | lobelia_geometry::Error::Run { .. }
-                        ),
-                        "{error:?}"
-                    );
+                    assert!(matches!(error, Error::Io { .. } | Error::Run { .. }), "{error:?}");
                     assert_eq!(std::fs::read(&path).unwrap(), b"old", "{name}");
                     assert_eq!(names_in(folder.path()), 1, "{name}: an unfinished file is left");
                 }

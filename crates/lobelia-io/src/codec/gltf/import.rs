@@ -304,15 +304,11 @@ mod tests {
         }
 
         fn accessor(&mut self, bytes: &[u8], component: u32, kind: &str, count: usize) -> usize {
-            let view = self.push(
-                "bufferViews",
-                json!({"buffer": 0, "byteOffset": self.bytes.len(), "byteLength": bytes.len()}),
-            );
+            let view = json!({"buffer": 0, "byteOffset": self.bytes.len(), "byteLength": bytes.len()});
+            let view = self.push("bufferViews", view);
             self.bytes.extend(bytes);
-            self.push(
-                "accessors",
-                json!({"bufferView": view, "componentType": component, "count": count, "type": kind}),
-            )
+            let of = json!({"bufferView": view, "componentType": component, "count": count, "type": kind});
+            self.push("accessors", of)
         }
 
         fn floats(&mut self, values: &[f32], width: usize) -> usize {

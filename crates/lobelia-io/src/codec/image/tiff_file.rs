@@ -1,8 +1,7 @@
 //! TIFF: gray and RGB with and without alpha, 8 and 16 bit and float.
 
 use crate::codec::file::Source;
-use crate::codec::image::format::MAX_DECODED_BYTES;
-use crate::codec::image::format::{Format, ImageHeader, ImageSamples, damaged, raw};
+use crate::codec::image::format::{Format, ImageHeader, ImageSamples, MAX_DECODED_BYTES, damaged, raw};
 use lobelia_geometry::{Error, Result};
 use std::path::Path;
 use tiff::decoder::{Decoder, DecodingResult, Limits};

@@ -1,7 +1,7 @@
 //! COLMAP's layout: text and binary, splits, distortion, masks, and what can be wrong with it.
 
 use super::*;
-use crate::codec::test_data::npy_matrix;
+use crate::codec::test_data::{jpeg_with_orientation, npy_matrix};
 use glam::{DMat3, DQuat, DVec3};
 
 /// A quaternion (w first) and a translation: a quarter turn about y, and an offset.
@@ -231,22 +231,11 @@ fn the_largest_of_several_models_is_read() {
     assert_says(&set.error(), &["images.bin, byte 0", "truncated"]);
 }
 
-/// Writes a JPEG with an EXIF orientation: bright on the left as stored.
-fn write_turned_jpeg(path: &Path, orientation: u8) {
-    use image::ImageEncoder;
-    let tiff =
-        [b"MM\0\x2a\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0".as_slice(), &[orientation, 0, 0, 0, 0, 0, 0]];
-    let image = RgbImage::from_fn(16, 8, |x, _| Rgb([if x < 8 { 240 } else { 10 }; 3]));
-    let mut encoder = image::codecs::jpeg::JpegEncoder::new(fs::File::create(path).unwrap());
-    encoder.set_exif_metadata(tiff.concat()).unwrap();
-    encoder.encode_image(&image).unwrap();
-}
-
 #[test]
 fn photographs_are_taken_as_stored() {
     let set = colmap(1);
     ["images/p00.png", "masks"].iter().for_each(|name| set.remove(name));
-    write_turned_jpeg(&set.path("images/p00.jpg"), 6);
+    set.write("images/p00.jpg", jpeg_with_orientation(6));
     write_camera(&set, "PINHOLE 16 8 20 20 8 4");
     let image = set.all().views.remove(0).photograph.unwrap().image();
     assert_eq!((image.width, image.height), (16, 8));
@@ -257,11 +246,11 @@ fn photographs_are_taken_as_stored() {
         ("PINHOLE 8 15 20 20 4 8", 6, ["the image has 16×8 pixels, its camera 8×15", ""]),
         ("PINHOLE 8 16 20 20 4 8", 3, ["the image has 16×8 pixels, its camera 8×16", ""]),
     ] {
-        write_turned_jpeg(&set.path("images/p00.jpg"), orientation);
+        set.write("images/p00.jpg", jpeg_with_orientation(orientation));
         write_camera(&set, camera);
         assert_says(&set.error(), &words);
     }
-    write_turned_jpeg(&set.path("images/p00.jpg"), 8);
+    set.write("images/p00.jpg", jpeg_with_orientation(8));
     write_camera(&set, "PINHOLE 16 8 20 20 8 4");
     GrayImage::from_pixel(8, 16, Luma([255])).save(set.file("masks/p00.png")).unwrap();
     assert_says(&set.error(), &["masks/p00.png", "its mask is 8×16", "turn the mask"]);

@@ -142,15 +142,11 @@ fn the_photograph_is_the_usual_one_or_the_only_one() {
     assert!(planned(&["rgba_city.png"]).unwrap().ends_with("train_000/rgba_city.png"));
     assert!(planned(&["rgba_sunset.png", "rgba.png"]).unwrap().ends_with("train_000/rgba.png"));
     let text = planned(&["rgba_city.png", "rgba_night.png"]).unwrap_err().to_string();
-    assert_says(
-        &text,
-        &["train_000: the photograph of this view is missing", "rgba_city.png, rgba_night.png"],
-    );
+    let words = ["train_000: the photograph of this view is missing", "rgba_city.png, rgba_night.png"];
+    assert_says(&text, &words);
     let text = planned(&["albedo.png"]).unwrap_err().to_string();
-    assert_says(
-        &text,
-        &["photograph of this view is missing: there is no rgba.png, and of other lights none"],
-    );
+    let words = "photograph of this view is missing: there is no rgba.png, and of other lights none";
+    assert_says(&text, &[words]);
     let set = Set::new();
     write_view(&set, "train_000", &["rgba.png"]);
     for (pose, words) in [

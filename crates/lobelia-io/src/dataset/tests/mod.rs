@@ -7,7 +7,7 @@ mod priors;
 mod reading;
 
 use super::*;
-use crate::codec::test_data::write_exr;
+use crate::codec::test_data::{input_error, write_exr};
 use image::{GrayImage, Luma, Rgb, RgbImage, RgbaImage};
 use lobelia_geometry::view::Mask;
 use serde_json::{Value, json};
@@ -144,13 +144,6 @@ fn mask_of(view: &ViewRecord) -> Mask {
 /// Whether a view has the mask that [`Set::mask`] writes.
 fn is_masked(view: &ViewRecord) -> bool {
     view.mask.as_ref().is_some_and(|mask| mask.mask().coverage[3..5] == [1.0, 0.0])
-}
-
-#[track_caller]
-fn input_error(result: Result<LoadedDataset>) -> String {
-    let error = result.unwrap_err();
-    assert!(matches!(error, Error::Input { .. }), "{error:?}");
-    format!("{error} | {}", error.help().unwrap_or_default())
 }
 
 #[track_caller]

@@ -5,6 +5,7 @@ use crate::brdf::{Facets, Ndf, specular_affine};
 use crate::cases::{Case, unit};
 use crate::real::{add, dot, scale, sub};
 use crate::sg;
+use glam::DVec3;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 /// Eight-point Gauss–Legendre rule on [−1, 1]: the positive nodes and their weights.
@@ -141,12 +142,7 @@ impl Cubature<'_> {
 fn plane_of(normal: [f64; 3]) -> [[f64; 3]; 2] {
     let helper = if normal[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
     let tangent = unit(sub(helper, scale(normal, dot(helper, normal))));
-    let bitangent = [
-        normal[1] * tangent[2] - normal[2] * tangent[1],
-        normal[2] * tangent[0] - normal[0] * tangent[2],
-        normal[0] * tangent[1] - normal[1] * tangent[0],
-    ];
-    [tangent, bitangent]
+    [tangent, DVec3::from(normal).cross(tangent.into()).into()]
 }
 
 /// The peaks of the light, which is lifted above the horizon, and of the BRDF.

@@ -7,13 +7,6 @@
 //! does not conserve energy: with high albedo and at grazing angles a vertex can reflect more light
 //! than it receives, and the throughput of a long path in a concave object may then grow.
 //!
-//! | parameter | type | unit | default | meaning |
-//! | --- | --- | --- | --- | --- |
-//! | `max_bounces` | `u32` | scattering events | 6 | 1 is direct light only, 0 is black |
-//! | `seed` | `u64` | – | 0 | changes every random number |
-//! | `roulette_after` | `u32` | scattering events | 3 | Russian roulette applies to paths of at least this length |
-//! | `ray_offset` | `f32` | radii of the scene | 2e-5 | offset of the ray origin from the surface, along the geometric normal |
-//!
 //! ```
 //! use glam::Vec3;
 //! use lobelia_geometry::mesh::{Surface, primitive::box_mesh};
@@ -35,11 +28,9 @@
 //! # Ok::<(), lobelia_geometry::Error>(())
 //! ```
 
-use crate::shade::sampling::sobol::Sequence;
-use crate::shade::sampling::{Scattered, Scatterer, above_zero, power_heuristic};
+use crate::shade::sampling::{Scattered, Scatterer, above_zero, power_heuristic, sobol::Sequence};
 use glam::{DVec3, Vec3};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::parallel;
+use lobelia_geometry::{error::stop::is_stopping, parallel};
 use lobelia_sg::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
 use lobelia_world::material::{Diffuse, MAX_SPECULAR_LOBES, Shown, SpecularBlend, SpecularLobe};
 
@@ -59,16 +50,16 @@ pub struct PathScene<'a> {
     pub specular: &'a [Option<SpecularLobe>],
 }
 
-/// Settings of the path tracer; see the table at the top of this module.
+/// Settings of the path tracer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathSettings {
-    /// Most scattering events of a path; 1 is direct light only.
+    /// Most scattering events of a path; 1 is direct light only, 0 is black.
     pub max_bounces: u32,
     /// Seed of every random number.
     pub seed: u64,
     /// Scattering events before Russian roulette may end a path.
     pub roulette_after: u32,
-    /// Offset of the ray origin from the surface, in radii of the scene.
+    /// Offset of the ray origin from the surface along its geometric normal, in radii of the scene.
     pub ray_offset: f32,
 }
 

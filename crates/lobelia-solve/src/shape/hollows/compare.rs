@@ -2,8 +2,7 @@
 
 use crate::shape::pictures::{ColorPicture, Seen, views_beside};
 use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
+use lobelia_geometry::{error::stop::is_stopping, mesh::bvh::TriangleBvh};
 use lobelia_sg::ray::Ray;
 
 /// Angles in degrees between a view and those around it: less shows no depth, from more the same is

@@ -13,9 +13,7 @@
 use super::radiance_field::{FieldRay, FieldRays, RadianceField, depth, march};
 use crate::shape::{cube, flood, neighbors, size};
 use glam::{Vec3, Vec4, Vec4Swizzles};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::parallel;
-use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::{error::stop::is_stopping, parallel, sdf::SdfGrid};
 
 /// Before the depth at which half of the light is stopped, and behind it, space counts as that
 /// where a ray is stopped, in cells.

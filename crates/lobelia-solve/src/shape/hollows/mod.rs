@@ -30,10 +30,7 @@ use crate::{shape::silhouette::Silhouette, shape::stereo::pattern_shares};
 use compare::{SINE, around, compare};
 use evidence::emptiness;
 use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::parallel;
-use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::{error::stop::is_stopping, mesh::bvh::TriangleBvh, parallel, sdf::SdfGrid};
 use radiance_field::{FieldRay, FieldRays, fit};
 
 /// Pixels of a picture per cell of the grid.

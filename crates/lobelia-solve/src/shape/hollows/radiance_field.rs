@@ -17,9 +17,7 @@
 
 use crate::shape::{neighbors, pictures::ColorPicture, size};
 use glam::{UVec3, Vec3, Vec4, Vec4Swizzles};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::parallel;
-use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::{error::stop::is_stopping, parallel, sdf::SdfGrid};
 use lobelia_sg::ray::Ray;
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 

@@ -31,16 +31,11 @@
 use crate::shape::pictures::TrainingView;
 use crate::shape::shell::{Shell, VertexGraph};
 use glam::{Mat3, Vec2, Vec3};
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::parallel;
-use lobelia_geometry::view::raster::bilinear;
-use lobelia_sg::ray::Ray;
-use lobelia_sg::statistics::median;
+use lobelia_geometry::mesh::{bvh::TriangleBvh, triangles::Mesh};
+use lobelia_geometry::{error::stop::is_stopping, parallel, view::raster::bilinear};
+use lobelia_sg::{ray::Ray, statistics::median};
 use lobelia_world::light::placement::PlacedFrame;
-use std::f32::consts::TAU;
-use std::ops::ControlFlow;
+use std::{f32::consts::TAU, ops::ControlFlow};
 
 /// Angles around a normal that are tried, in degrees, and rings of directions within them: first
 /// around the mesh's, then around the best.

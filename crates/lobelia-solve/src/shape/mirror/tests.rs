@@ -1,10 +1,8 @@
 use super::*;
 use crate::shape::test_support::{Pictures, meets_ball};
-use lobelia_geometry::mesh::primitive::sphere_mesh;
-use lobelia_geometry::view::Camera;
+use lobelia_geometry::{mesh::primitive::sphere_mesh, view::Camera};
 use lobelia_sg::fibonacci::fibonacci_axes;
-use lobelia_world::light::light_frame::LightFrame;
-use lobelia_world::light::placement::Placements;
+use lobelia_world::light::{light_frame::LightFrame, placement::Placements};
 
 const PIXELS: u32 = 160;
 

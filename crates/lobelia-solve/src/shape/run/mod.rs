@@ -25,28 +25,22 @@ use crate::{fit::exposure::Exposures, fit::light_turns, shape::pictures::Trainin
 use bevy_ecs::prelude::{IntoScheduleConfigs, Resource, SystemCondition, With, World, not, resource_exists};
 use glam::Vec3;
 use lobelia_geometry::error::stop::{check_interrupted, is_stopping};
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::parallel;
-use lobelia_geometry::sdf::SdfGrid;
 use lobelia_geometry::sdf::volume::{SdfSurface, TexelVolume};
 use lobelia_geometry::view::{ByView, Camera, Photograph, Placement, Split, ViewIndex, ViewMask, ViewName};
-use lobelia_geometry::{Error, Result};
+use lobelia_geometry::{Error, Result, mesh::triangles::Mesh, parallel, sdf::SdfGrid};
 use lobelia_sg::statistics::median;
 use lobelia_world::checkpoint::{
     Span, from_bytes, has_part_ahead, keep_part, keep_resource, keep_state, resume_part, to_bytes,
 };
-use lobelia_world::light::placement::PlacedFrame;
 use lobelia_world::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, USUAL_ALBEDO, diffuse::of_albedos, recovered_albedo,
     recovered_materials, spawn_texels,
 };
-use lobelia_world::pipeline::pool::despawn_rows;
-use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage};
-use lobelia_world::sample::point::Scenery;
+use lobelia_world::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, pool::despawn_rows};
+use lobelia_world::{light::placement::PlacedFrame, sample::point::Scenery};
 use rand::{SeedableRng, rngs::SmallRng, seq::SliceRandom};
 use serde::{Deserialize, Serialize};
-use std::ops::ControlFlow;
-use std::sync::Arc;
+use std::{ops::ControlFlow, sync::Arc};
 use tracing::info_span;
 
 /// Distance from a silhouette, in pixels, within which silhouette rays are cast.

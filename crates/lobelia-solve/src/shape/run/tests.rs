@@ -5,15 +5,13 @@ use crate::fit::{ObjectTurned, guard::StepGuard, observe::PixelChoice, run::FitP
 use crate::shade::systems::kernel_specular;
 use bevy_ecs::prelude::{Entity, Res, ResMut};
 use lobelia_geometry::view::{Image, Mask, StoredMask};
-use lobelia_sg::brdf::Ndf;
 use lobelia_sg::fibonacci::{fibonacci_axes, spacing_sharpness};
-use lobelia_sg::ray::Intersect;
 use lobelia_sg::shading::{ClosedForm, Layers, LobeColumns, ShadePoint};
+use lobelia_sg::{brdf::Ndf, ray::Intersect};
 use lobelia_world::light::LightLobe;
 use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame};
 use lobelia_world::material::{Diffuse, SpecularLobe, diffuse::KnownAlong};
-use lobelia_world::pipeline::Stage;
-use lobelia_world::pipeline::pool::read_column;
+use lobelia_world::pipeline::{Stage, pool::read_column};
 
 const SIZE: u32 = 48;
 const SPECULAR: SpecularLobe = SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.4, ndf: Ndf::Sg };

@@ -25,11 +25,8 @@ use crate::shape::pictures::{MatchPicture, Seen, TrainingView, focal, picture_fa
 use crate::shape::shell::{Plate, Shell, VertexGraph, area_vector};
 use crate::shape::{field::ModelError, silhouette::Silhouette};
 use glam::Vec3;
-use lobelia_geometry::error::stop::is_stopping;
-use lobelia_geometry::mesh::bvh::TriangleBvh;
-use lobelia_geometry::mesh::triangles::Mesh;
-use lobelia_geometry::parallel;
-use lobelia_geometry::view::Placement;
+use lobelia_geometry::mesh::{bvh::TriangleBvh, triangles::Mesh};
+use lobelia_geometry::{error::stop::is_stopping, parallel, view::Placement};
 use lobelia_sg::statistics::median;
 use std::ops::ControlFlow;
 use sweep::{Matched, Sweep, neighbors, sweep};

@@ -1,7 +1,6 @@
 use super::*;
 use crate::shape::test_support::{Pictures, around, meets_ball};
-use lobelia_geometry::mesh::primitive::sphere_mesh;
-use lobelia_geometry::sdf::SdfGrid;
+use lobelia_geometry::{mesh::primitive::sphere_mesh, sdf::SdfGrid};
 use std::ops::ControlFlow::Continue;
 
 /// A sphere of radius 1 with a fine pattern, without shading, as cameras around it see it.

@@ -8,8 +8,7 @@ mod flatten;
 mod segment;
 
 use crate::mesh::triangles::{DisjointSets, Mesh, sorted_sides};
-use crate::parallel;
-use crate::{Result, error::stop::check_interrupted};
+use crate::{Result, error::stop::check_interrupted, parallel};
 use flatten::{Tolerance, flatten};
 use glam::{DVec2, DVec3};
 use segment::{RegionNode, RegionTree};
