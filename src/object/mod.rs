@@ -16,11 +16,11 @@
 //!
 //! | module | holds |
 //! | --- | --- |
-//! | [`fit`] | light and material from photographs, with the choices on the way |
-//! | [`shape`] | an unknown surface, with light and material beside it |
+//! | `fit` | light and material from photographs, with the choices on the way |
+//! | `shape` | an unknown surface, with light and material beside it |
 //! | [`show`] | what is shown of it: with edits, under another light, by another shading |
 //! | [`save`], [`export`] | it as a scene file, and as a mesh for other programs |
-//! | [`photograph`] | photographs that an object takes of itself, from a truth |
+//! | `photograph` | photographs that an object takes of itself, from a truth |
 //! | [`progress`] | what it says on the way, and how that stops it |
 
 pub mod export;

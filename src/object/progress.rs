@@ -48,7 +48,7 @@ pub trait Progress: Send + Sync {
     fn pass(&self, _name: &str, _number: usize, _count: usize) {}
 
     /// A step is done, with the state of the world after it. `Break` ends the work as its
-    /// [`Stop`](lobelia_geometry::error::stop::Stop) does: what was found stays.
+    /// [`Stop`] does: what was found stays.
     ///
     /// # Errors
     /// Its own, which end the fit as well.

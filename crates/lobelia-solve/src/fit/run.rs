@@ -255,7 +255,7 @@ impl Plugin for FitPlugin {
 ///
 /// # Errors
 /// If there is nothing to fit to, the shader has no adjoint, or a system fails;
-/// [`Error::Interrupted`](lobelia_geometry::Error::Interrupted) if the run is stopped before the
+/// [`Error::Interrupted`] if the run is stopped before the
 /// first step.
 pub fn run_fit(
     pipeline: &mut Pipeline,
