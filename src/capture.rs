@@ -181,7 +181,7 @@ pub(crate) fn read_views(
     });
     // The first error, in the order of the views, ends it.
     let (loaded, looks): (Vec<_>, Vec<_>) = read.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
-    bar.finish_and_clear();
+    drop(bar);
     data.notes.iter().chain(&load_notes(&loaded)).for_each(|note| progress.note(note));
     let survey = is_used.then(|| data.examine(looks.into_iter().flatten().collect())).transpose()?;
     if let Some(survey) = &survey {

@@ -97,23 +97,14 @@ const NDF_HOPELESS: [(u32, f64); 2] = [(20, 1.6), (50, 1.15)];
 /// Error with GGX relative to that of the spherical Gaussian below which it is chosen.
 const NDF_CLEARLY: f64 = 0.975;
 
-/// What a fit has found beside the components that it moved.
-pub(crate) struct FitFound {
-    /// Its steps and findings.
-    pub summary: FitSummary,
-    /// Covered texels that no view sees.
-    pub unseen: usize,
-    /// The scale between light and albedo, the same in all outputs.
-    pub scale: ScaleFound,
-}
-
 impl Object {
-    /// Finds what is unknown of light and material from the training photographs.
+    /// Finds what is unknown of light and material from the training photographs. Returns the steps
+    /// and findings of the fit, and the number of covered texels that no view sees.
     ///
     /// # Errors
     /// If there are no pixels to fit to, or a system fails. A fit that is stopped leaves what it
     /// has found until then.
-    pub(crate) fn find(&mut self, pass: &FitPass) -> Result<FitFound> {
+    pub(crate) fn find(&mut self, pass: &FitPass) -> Result<(FitSummary, usize)> {
         if let Gloss::Texels { smoothness, color_width, specular } = self.scene().material.gloss {
             let first = initial_specular(&self.scene().material.specular).roughness;
             let prior = RoughnessPrior::new(self.surface().atlas(), smoothness, color_width, specular);
@@ -147,10 +138,9 @@ impl Object {
             unseen = fill_texels(self)?;
         }
         let [mean_light, mean_albedo] = means(&mut self.pipeline.world)?.map(|mean| mean.to_array());
-        let scale = ScaleFound { rule, mean_light, mean_albedo };
         self.scores().add_fit_secs(summary.elapsed_secs);
-        self.scores().scale = Some(scale.clone());
-        Ok(FitFound { summary, unseen, scale })
+        self.scores().scale = Some(ScaleFound { rule, mean_light, mean_albedo });
+        Ok((summary, unseen))
     }
 }
 
@@ -555,7 +545,7 @@ fn refine_texture(object: &mut Object, pass: &FitPass, options: &FitOptions) -> 
     bar.set_message("texture".into());
     let settings = DetailOptions { tilt, metal: options.unknowns.metal };
     solve_detail(&mut object.pipeline, settings, &mut |done| bar.set_position((100.0 * done) as u64))?;
-    bar.finish_and_clear();
+    drop(bar);
     let (side, seconds) = (object.surface().atlas().width, start.elapsed().as_secs_f64());
     object.print(&format!("{}: texture of {side}² texels from all pixels in {seconds:.1} s", pass.name));
     object.scores().add_fit_secs(seconds);
@@ -693,7 +683,6 @@ fn take_steps(
     check_parameters(&mut object.pipeline.world)?;
     let surface = object.surface();
     check_numbers("the surface's coordinate", surface.mesh().positions.iter().flat_map(|at| at.to_array()))?;
-    bar.finish_and_clear();
     Ok(Steps { summary, error, psnr, ended })
 }
 
@@ -724,7 +713,6 @@ fn error_after(
         let is_over = step == steps || given_up.is_some() || is_stopping();
         if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
-    bar.finish_and_clear();
     Ok((error, given_up))
 }
 

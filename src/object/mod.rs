@@ -338,7 +338,7 @@ impl Object {
             let bar = self.progress().bar("shadows", 0);
             bar.set_message("tracing".into());
             let traced = ObjectVisibility::new(&self.surface(), settings);
-            bar.finish_and_clear();
+            drop(bar);
             check_interrupted()?;
             let (mib, elapsed) = (traced.bytes() as f64 / 1048576.0, start.elapsed().as_secs_f64());
             self.print(&format!("visibility: traced in {elapsed:.1} s, {mib:.1} MiB"));

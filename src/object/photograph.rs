@@ -109,7 +109,6 @@ impl TrueObject {
         let bar = to.bar("photograph", views.len() as u64);
         let shown: Vec<_> = views.iter().map(|view| (view.camera, view.placement)).collect();
         let frames = self.pictures(&shown, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
-        bar.finish_and_clear();
         Ok(views.into_iter().zip(frames).map(|(view, frame)| view.with_frame(frame)).collect())
     }
 }

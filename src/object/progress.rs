@@ -38,8 +38,8 @@ pub trait Progress: Send + Sync {
     /// A line of result.
     fn print(&self, _text: &str) {}
 
-    /// Creates a bar of `length` steps with a title; [`Bar::finish_and_clear`] or dropping removes
-    /// it. A length of 0 is one that is not known, or not yet.
+    /// Creates a bar of `length` steps with a title; dropping removes it. A length of 0 is one that is
+    /// not known, or not yet.
     fn bar(&self, _title: &str, _length: u64) -> Box<dyn Bar> {
         Box::new(Silent)
     }
@@ -91,9 +91,6 @@ pub trait Bar: Send + Sync {
 
     /// Sets the message beside the bar.
     fn set_message(&self, _message: String) {}
-
-    /// Finishes the task and removes the bar.
-    fn finish_and_clear(&self) {}
 }
 
 /// What is done with each step before it is passed on.

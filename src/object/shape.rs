@@ -170,7 +170,6 @@ fn fit(object: &mut Object, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
         stopped |= failure.is_some() || is_stopping();
         if stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
-    bar.finish_and_clear();
     failure.map_or(Ok(()), Err)?;
     Ok((surface, stopped))
 }
@@ -215,7 +214,6 @@ fn refined<T>(
         bar.set_message(part.into());
         if is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
-    bar.finish_and_clear();
     (done, start.elapsed().as_secs_f64())
 }
 

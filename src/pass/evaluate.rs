@@ -100,7 +100,6 @@ fn score_pass(object: &mut Object, out: &Path, pass: &EvaluatePass, i: usize, si
             let seed = scene.seed.wrapping_add(1_000_003);
             let mut truth = world.get_resource_mut::<TrueObject>().ok_or_else(no_true_object)?;
             let frames = truth.pictures(&shown, light, edits, *spp, seed, || bar.inc(1))?;
-            bar.finish_and_clear();
             TrueImages::Made(frames.into_iter().map(|frame| frame.color).collect())
         }
         (_, Some(files)) => TrueImages::Files(views.iter().map(|view| files.image(&view.name)).collect()),

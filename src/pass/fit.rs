@@ -1,6 +1,6 @@
 //! The `Fit` pass: recovers the unknowns from the training views and writes the results.
 
-use crate::object::fit::{FitFound, take_log};
+use crate::object::fit::take_log;
 use crate::object::save::{RGB, vector_channels, weight_channels, write_layers};
 use crate::object::{Object, photograph::TrueObject};
 use crate::pass::view_report::{csv_entry, note_fit};
@@ -17,7 +17,7 @@ use lobelia_io::codec::tone::srgb8;
 use lobelia_io::codec::{envmap::write_map_exr, npy::NpyConvention, npy::write_lobes, png_file::write_rgb8};
 use lobelia_solve::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
 use lobelia_solve::fit::exposure::{ExposureChoice, Exposures};
-use lobelia_solve::fit::{components::TexelSeen, roughness::TexelRoughness};
+use lobelia_solve::fit::{components::TexelSeen, roughness::TexelRoughness, run::FitSummary};
 use lobelia_world::light::{EnvironmentMap, LightLobe, groups::all_lights, render_lobes};
 use lobelia_world::material::diffuse::{Diffuse, has_sheen};
 use lobelia_world::material::{SpecularBlend, SpecularLobe, TexelIndex, recovered_materials};
@@ -43,21 +43,22 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &FitPass) -> Result<()>
     // Created first, so that an unwritable folder is detected before the fit.
     let folder = out.join(&pass.name);
     std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
-    let found = object.find(pass)?;
+    let (summary, unseen) = object.find(pass)?;
     let _writing = info_span!("results written").entered();
     note_fit(object);
-    report(object, &pass.name, &found);
+    report(object, &pass.name, &summary, unseen);
     let surface = object.surface();
-    write_results(&mut object.pipeline.world, surface.atlas(), &folder, &found.scale)?;
+    let scale = object.scores().scale.clone().unwrap_or_default();
+    write_results(&mut object.pipeline.world, surface.atlas(), &folder, &scale)?;
     if let Some(truth) = object.pipeline.world.get_resource::<TrueObject>() {
         write_environment(&folder.join(TRUE_ENVIRONMENT), &truth.lights[0].lobes)?;
     }
     write_bytes(&folder.join("log.csv"), take_log(&mut object.pipeline.world).as_bytes())?;
     write_views(object, out, &pass.name, pass.cameras)?;
-    if found.summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
+    if summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
 }
 
-fn report(object: &mut Object, name: &str, FitFound { summary, unseen, .. }: &FitFound) {
+fn report(object: &mut Object, name: &str, summary: &FitSummary, unseen: usize) {
     let world = &mut object.pipeline.world;
     // One or two base materials completely, of more the range of roughness of the texels.
     let lobes: Vec<SpecularLobe> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
@@ -88,7 +89,7 @@ fn report(object: &mut Object, name: &str, FitFound { summary, unseen, .. }: &Fi
     if let Some(words) = summary.determined.and_then(|found| found.words()) {
         object.print(&format!("{name}: determined by the photographs: {words}"));
     }
-    if *unseen > 0 {
+    if unseen > 0 {
         object.progress().note(&format!("{unseen} texels that no view sees are filled from their neighbors"));
     }
 }

@@ -76,7 +76,7 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &Pass, settings: &Rende
             object.progress().note(&note);
         }
     }
-    bar.finish_and_clear();
+    drop(bar);
     let film = if frames > 0 { format!(", {frames} film frames") } else { String::new() };
     object.print(&format!("{name}: {} views{film}", views.len()));
     Ok(())

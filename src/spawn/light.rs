@@ -38,15 +38,7 @@ impl LoadedLight {
     /// # Errors
     /// If the file is missing or wrong.
     pub fn map(path: impl Into<PathBuf>) -> Result<Self> {
-        load_light(&LightSource::Map {
-            path: path.into(),
-            scale: 1.0,
-            rotation_degrees: Vec3::ZERO,
-            lobes: 128,
-            convention: MapConvention::default(),
-            upper_hemisphere: false,
-            white: false,
-        })
+        load_light(&LightSource::map(path.into()))
     }
 }
 
