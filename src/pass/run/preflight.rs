@@ -5,8 +5,9 @@
 use crate::object::{Object, export, photograph::ring, show::apply_edits, show::edits_of_nothing};
 use crate::pass::{
     evaluate::PARTS, evaluate::read_fitting, fit::TRUE_ENVIRONMENT, fit::light_files, render::FILM_FILES,
-    render::chosen_stems, render::chosen_views, run::record::PassRecord, view::PAGE, view_report::VIEWS,
+    render::chosen_stems, render::chosen_views, view::PAGE, view_report::VIEWS,
 };
+use crate::report::PassRecord;
 use crate::scene::{
     EvaluatePass, Gloss, LayerTruth, LightSource, Pass, PlacementLight, RenderSettings, Scene, Truth,
     ViewChoice, Views, load::LoadedScene,

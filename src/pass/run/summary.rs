@@ -5,12 +5,12 @@
 use crate::object::fit::{COLUMNS, LOG_EVERY, log_line};
 use crate::object::progress::Step;
 use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
-use crate::pass::run::record::{PassRecord, Record, RunState};
+use crate::pass::run::record::Record;
 use crate::pass::{evaluate::PARTS, run::METRICS, view::embedded, view_report::csv_entry};
 use crate::report::html::{
-    FitFinding, FitLog, PassReport, PassViews, REPORT, ReportPicture, RunReport, ViewReport, html,
+    FitFinding, FitLog, PassViews, REPORT, ReportPicture, RunReport, ViewReport, html,
 };
-use crate::report::{scores::Scores, scores::aligned};
+use crate::report::{PassRecord, RunState, scores::Scores, scores::aligned};
 use crate::{pass::run::preflight::RUN, report::sheet::choose_evenly, scene::fields};
 use bevy_ecs::prelude::{Entity, World};
 use image::{Rgb, RgbImage, RgbaImage};
@@ -186,13 +186,6 @@ fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) 
         ("seed", record.seed.map(|seed| seed.to_string())),
         ("machine", record.machine.as_ref().map(|machine| machine.words())),
     ];
-    let pass_report = |pass: &PassRecord| PassReport {
-        name: pass.name.clone(),
-        state: pass.state.word(),
-        secs: pass.secs,
-        peak_rss_mib: pass.peak_rss_mib,
-        said: pass.said.clone(),
-    };
     // In the order in which they may spend the budget.
     let shown = fits.iter().flat_map(|fit| fit_pictures(out, fit, pictures)).collect();
     let mut views = scored_views(out, record, &scores, pictures);
@@ -205,7 +198,7 @@ fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) 
         fields: fields(&record.scene_text),
         scene_text: record.scene_text.clone(),
         said: record.said.clone(),
-        passes: record.passes.iter().map(pass_report).collect(),
+        passes: record.passes.clone(),
         logs: fits.iter().filter_map(log).collect(),
         pictures: shown,
         views,
@@ -549,12 +542,7 @@ mod tests {
         assert_eq!(pictures.small(&path, 16), Some(address.clone()));
         pictures.left = address.len() + 1;
         assert!(pictures.small(&path, 16).is_some() && pictures.small(&path, 16).is_none());
-    }
-
-    #[test]
-    fn what_is_no_picture_is_left_out() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.png");
+        // What is no picture is left out.
         let mut pictures = Pictures { left: 1 << 20, ..Pictures::default() };
         assert_eq!((pictures.small(&path, 16), pictures.file(&path)), (None, None));
         fs::write(&path, "no picture").unwrap();
