@@ -73,6 +73,7 @@ fn an_object_found_from_photographs_in_memory_is_shown_kept_and_opened_again() {
     for other in [&night, &golden, &both] {
         assert!(apart(&frame, other) > 0.01, "{}", apart(&frame, other));
     }
+    assert!(apart(&golden, &both) > 0.01, "a light after another appearance is gone");
     assert_eq!(object.render(camera).unwrap(), frame);
 
     let folder = tempfile::tempdir().unwrap();

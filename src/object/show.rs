@@ -47,12 +47,11 @@ pub struct Appearance<'a> {
 impl Drop for Appearance<'_> {
     fn drop(&mut self) {
         if self.is_in {
-            let own = provide_light(LightChoice::Own, false);
             let pipeline = &mut self.object.pipeline;
             pipeline.swap(Phase::Compose, Slot::Material, show_recovered()).swap(
-                Phase::Frame,
+                Phase::Compose,
                 Slot::Light,
-                own,
+                provide_light(LightChoice::Own, false),
             );
             set_shading(pipeline, &RenderSettings::default(), 0);
         }
