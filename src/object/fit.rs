@@ -402,25 +402,24 @@ fn put_lobe(world: &mut World, lobe: SpecularLobe) {
 /// Pixels of a step from which the error of twenty tells that a trial is hopeless.
 const TELLING_PIXELS: f32 = 500.0;
 /// Steps between two lines of the log.
-pub(crate) const LOG_EVERY: u32 = 20;
+const LOG_EVERY: u32 = 20;
 
-/// The text of `log.csv`.
+/// The log of the `Fit` or `Shape` at work: the text of `log.csv`.
 #[derive(Resource, Serialize, Deserialize)]
-struct FitLog(String);
+pub(crate) struct StepLog(pub String);
 
 /// The first line of the log.
-pub(crate) const COLUMNS: &str =
-    "step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness,lobes\n";
+const COLUMNS: &str = "step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness,lobes\n";
 
 /// Begins the log, also again: without the steps of what has been given up.
 pub(super) fn begin_log(world: &mut World) {
-    keep_resource::<FitLog>(world, Span::Pass);
-    world.insert_resource(FitLog(COLUMNS.into()));
+    keep_resource::<StepLog>(world, Span::Pass);
+    world.insert_resource(StepLog(COLUMNS.into()));
 }
 
 /// The text of the log, which is then gone.
 pub(crate) fn take_log(world: &mut World) -> String {
-    world.remove_resource::<FitLog>().map_or_else(|| COLUMNS.into(), |log| log.0)
+    world.remove_resource::<StepLog>().map_or_else(|| COLUMNS.into(), |log| log.0)
 }
 
 /// The shader for the settings of a scene file.
@@ -655,7 +654,6 @@ fn take_steps(
         bar.set_position(u64::from(at.step));
         if at.step % LOG_EVERY == 0 || at.step == at.steps {
             bar.set_message(format!("{:.1} dB", at.sums.psnr()));
-            log_line(&mut world.resource_mut::<FitLog>().0, at.step, at);
         }
         told = tell(&*progress, &pass.name, [at.step, at.steps], at, world);
         (error, psnr) = (at.sums.mean(), at.sums.psnr());
@@ -725,15 +723,19 @@ fn forget_shadows(world: &mut World) {
     }
 }
 
-/// Adds a line to a log: `step` of a `Fit` or `Shape`.
-pub(crate) fn log_line(log: &mut String, step: u32, at: &FitProgress) {
+/// Adds a line to the log, if one is due after a step.
+pub(super) fn log_step(world: &mut World, [step, steps]: [u32; 2], at: &FitProgress) {
+    if !step.is_multiple_of(LOG_EVERY) && step != steps {
+        return;
+    }
     let Vec3 { x: r, y: g, z: b } = at.specular.albedo;
     let (secs, loss, psnr) = (at.elapsed_secs, at.sums.mean(), at.sums.psnr());
     // Writing to a String cannot fail.
     let _ = writeln!(
-        log,
+        world.resource_mut::<StepLog>().0,
         "{step},{secs:.3},{loss:.6},{psnr:.3},{r:.4},{g:.4},{b:.4},{:.4},{}",
-        at.specular.roughness, at.lobes
+        at.specular.roughness,
+        at.lobes
     );
 }
 

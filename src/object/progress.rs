@@ -11,6 +11,7 @@
 //! progress.print("a line of result, which the closure leaves out");
 //! ```
 
+use crate::object::fit::log_step;
 use bevy_ecs::prelude::World;
 use lobelia_geometry::{Result, error::stop::Stop};
 use lobelia_solve::fit::run::FitProgress;
@@ -63,7 +64,7 @@ impl<F: Fn(&Step) -> ControlFlow<()> + Send + Sync> Progress for F {
     }
 }
 
-/// Tells of a step, and asks the work of this thread to stop if that is the answer.
+/// Logs and tells of a step, and asks the work of this thread to stop if that is the answer.
 pub(super) fn tell(
     to: &dyn Progress,
     pass: &str,
@@ -71,6 +72,7 @@ pub(super) fn tell(
     fit: &FitProgress,
     world: &mut World,
 ) -> Result<()> {
+    log_step(world, [step, steps], fit);
     if to.step(&Step { pass, step, steps, fit }, world)?.is_break() {
         Stop::current().ask();
     }

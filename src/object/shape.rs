@@ -1,7 +1,9 @@
 //! The shape of an object: recovers an unknown surface from photographs and masks, and replaces the
 //! visual hull by it.
 
-use crate::object::{Object, fit::shader, progress::Progress, progress::tell, replace_surface};
+use crate::object::{
+    Object, fit::begin_log, fit::shader, progress::Progress, progress::tell, replace_surface,
+};
 use crate::scene::{GridLevel, ShapePass, Surface as SurfaceSpec};
 use crate::spawn::insert_known_along;
 use bevy_ecs::prelude::World;
@@ -47,6 +49,7 @@ impl Object {
             return Err(Error::run(name, "the surface is given: a `Shape` pass needs `surface: Unknown()`"));
         };
         let start = Instant::now();
+        begin_log(&mut self.pipeline.world);
         // Base materials have equal weights until the shape is recovered.
         self.pipeline.world.insert_resource(TexelPlaces::default());
         let (mut found, mut stopped) = fit(self, pass)?;

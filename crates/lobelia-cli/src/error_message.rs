@@ -139,15 +139,6 @@ mod tests {
     }
 
     #[test]
-    fn several_faults_have_one_heading_and_one_note() {
-        let faults = vec![fault("version", 20..21), fault("seed", 33..35)];
-        let text = drawn(&diagnostic(faults), Renderer::plain());
-        assert!(text.starts_with("error: 2 problems in a.ron\n"), "{text}");
-        assert!(text.contains("a.ron:2:14\n") && text.contains("a.ron:3:11\n"), "{text}");
-        assert_eq!(text.matches("As edited.").count(), 1, "{text}");
-    }
-
-    #[test]
     fn long_lines_are_named_and_not_drawn() {
         let line = format!("Scene(\n    /*{}*/ seed: -3)", "ü".repeat(65_536));
         let at = line.find("-3").unwrap();

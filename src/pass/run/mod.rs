@@ -20,7 +20,7 @@ mod tests;
 use crate::object::Object;
 use crate::object::photograph::imagine;
 use crate::object::progress::{Progress, RecordedMessages, Step};
-use crate::pass::{evaluate, fit, render, shape, view};
+use crate::pass::{evaluate, fit, render, view};
 use crate::scene::{EvaluatePass, LightSource, Pass, Scene, ViewPass, Views, unknown_parts};
 use crate::spawn::{SurfaceUse, load_light, make_surface};
 use crate::survey::{Severity, Survey, open::OpenScene};
@@ -109,7 +109,7 @@ fn run_in_folder(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn P
     let show = move |at: &Step, world: &mut World| {
         locked(&live).step(&folder, at, world);
         let is_shown = every.is_some_and(|every| at.fit.step.is_multiple_of(every));
-        if is_shown { shape::look(&folder, at, world) } else { Ok(()) }
+        if is_shown { fit::look(&folder, at, world) } else { Ok(()) }
     };
     let told = Arc::new(RecordedMessages::new(progress).watching(Box::new(show)));
     let progress: &dyn Progress = &*told;
@@ -345,7 +345,7 @@ fn run_pass(object: &mut Object, run: &Run, pass: Work) -> Result<()> {
     };
     match pass {
         Pass::Fit(pass) => fit::run(object, out, pass),
-        Pass::Shape(pass) => shape::run(object, out, pass),
+        Pass::Shape(pass) => fit::run_shape(object, out, pass),
         Pass::Render(of) | Pass::Edit(of) | Pass::Relight(of) => render::run(object, out, pass, &of.render),
         Pass::Evaluate(pass) => {
             // A truth that has changed is told of, instead of scores that are half of one and half

@@ -2,8 +2,7 @@
 //! made of the run's files alone, so that the report of a run that goes on, of one that ended, and
 //! of several side by side are made in the same way.
 
-use crate::object::fit::{COLUMNS, LOG_EVERY, log_line};
-use crate::object::progress::Step;
+use crate::object::{fit::StepLog, progress::Step};
 use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
 use crate::pass::run::record::Record;
 use crate::pass::{evaluate::PARTS, run::METRICS, view::embedded, view_report::csv_entry};
@@ -54,45 +53,30 @@ const PICTURES: [(&str, &str); 5] = [
 #[derive(Default)]
 pub(crate) struct Reporter {
     pictures: Pictures,
-    live: Option<Live>,
-}
-
-/// What the report of a run that is watched has besides its files.
-struct Live {
-    /// The fit at work, and its log so far.
-    pass: String,
-    log: String,
-    /// The time of the last page.
-    written: Instant,
+    /// The time of the last page, if the run is watched.
+    written: Option<Instant>,
 }
 
 impl Reporter {
     /// A reporter; if the run is watched (`live`), its pages load themselves again until it ends.
     pub fn new(live: bool) -> Self {
-        let begin = || Live { pass: String::new(), log: String::new(), written: Instant::now() };
-        Self { live: live.then(begin), ..Self::default() }
+        Self { written: live.then(Instant::now), ..Self::default() }
     }
 
-    /// Takes in a step of a fit or shape, and now and then writes a page with its curves and worst
-    /// views, if the run is watched.
+    /// Now and then writes a page with the curves and worst views of the fit or shape at work, if the
+    /// run is watched.
     pub fn step(&mut self, out: &Path, at: &Step, world: &mut World) {
-        let Some(Live { pass: of, log, written }) = &mut self.live else { return };
-        if of != at.pass {
-            (*of, *log) = (at.pass.to_owned(), COLUMNS.to_owned());
+        if self.written.is_none_or(|written| written.elapsed() < RELOAD) {
+            return;
         }
-        if at.step.is_multiple_of(LOG_EVERY) {
-            log_line(log, at.step, at.fit);
-        }
-        if written.elapsed() >= RELOAD {
-            let log = parse_log(at.pass, log);
-            // A page that cannot be written is no reason to lose the run; the pass writes it again
-            // at its end.
-            let _ = self.write_with(out, |run| {
-                run.logs.extend(log);
-                run.views.insert(0, worst_views(world));
-            });
-            self.live.iter_mut().for_each(|live| live.written = Instant::now());
-        }
+        let log = world.get_resource::<StepLog>().and_then(|log| parse_log(at.pass, &log.0));
+        // A page that cannot be written is no reason to lose the run; the pass writes it again at
+        // its end.
+        let _ = self.write_with(out, |run| {
+            run.logs.extend(log);
+            run.views.insert(0, worst_views(world));
+        });
+        self.written = Some(Instant::now());
     }
 
     /// Writes `OUT/report.html`.
@@ -109,7 +93,7 @@ impl Reporter {
         let scores = read_scores(out).unwrap_or_default();
         let mut report = gather(out, &record, scores, &mut self.pictures);
         add(&mut report);
-        let is_live = self.live.is_some() && record.state == RunState::Running;
+        let is_live = self.written.is_some() && record.state == RunState::Running;
         report.reload_secs = is_live.then_some(RELOAD.as_secs());
         write_bytes(&out.join(REPORT), html(&[report])?.as_bytes())
     }
@@ -208,16 +192,12 @@ fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) 
     }
 }
 
-/// The columns of a log; `None` if there are none. A fit that begins again repeats its steps: the
-/// last count.
+/// The columns of a log; `None` if there are none.
 fn parse_log(pass: &str, text: &str) -> Option<FitLog> {
     let mut lines = text.lines();
     let mut columns: Vec<(_, Vec<f64>)> = lines.next()?.split(',').map(|n| (n.to_owned(), vec![])).collect();
     for line in lines {
-        let step = line.split(',').next()?.parse().unwrap_or(f64::NAN);
-        let kept = columns[0].1.iter().take_while(|before| **before < step).count();
         for ((_, values), entry) in columns.iter_mut().zip(line.split(',')) {
-            values.truncate(kept);
             values.push(entry.parse().unwrap_or(f64::NAN));
         }
     }
