@@ -102,53 +102,45 @@ fn report(object: &mut Object, name: &str, summary: &FitSummary, unseen: usize) 
 /// base materials).
 fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &ScaleFound) -> Result<()> {
     for (number, lobes) in (1..).zip(all_lights(world)) {
-        let suffix = if number == 1 { String::new() } else { format!("_{number}") };
-        write_light(&lobes, folder, &suffix)?;
+        let [npy, exr, png] = light_files(number).map(|name| folder.join(name));
+        write_lobes(npy, &lobes, NpyConvention::Lobelia)?;
+        write_map_exr(&write_environment(&png, &lobes)?, exr)?;
     }
+    let picture = |name: &str, texels: &[Vec3]| {
+        write_rgb8(folder.join(name), &preview(texels, atlas.width, atlas.height))
+    };
     with_columns::<TexelIndex, &Diffuse, _>(world, |texels| {
         let write = |name: &str, of: fn(&Diffuse) -> Vec3| {
-            write_texture(&folder.join(name), &texels.iter().map(of).collect::<Vec<_>>(), atlas)
+            let colors: Vec<Vec3> = texels.iter().map(of).collect();
+            picture(&format!("{name}.png"), &colors)?;
+            write_layers(&folder.join(format!("{name}.exr")), atlas, vector_channels(RGB, &colors))
         };
         write("albedo", |texel| texel.albedo)?;
         if has_sheen(&texels) { write("albedo_along", Diffuse::along) } else { Ok(()) }
     })?;
+    let gray = |values: &[f32]| values.iter().map(|value| Vec3::splat(*value)).collect::<Vec<_>>();
     let seen = read_column::<TexelIndex, TexelSeen>(world)?;
-    let picture = |name: &str, texels: Vec<Vec3>| {
-        write_rgb8(folder.join(name), &preview(&texels, atlas.width, atlas.height))
-    };
-    let mark = |s: &TexelSeen| Vec3::splat(if s.0 > 1e-3 { 1.0 } else { 0.0 });
-    picture("seen.png", seen.iter().map(mark).collect())?;
+    let marks: Vec<f32> = seen.iter().map(|seen| if seen.0 > 1e-3 { 1.0 } else { 0.0 }).collect();
+    picture("seen.png", &gray(&marks))?;
     let materials = recovered_materials(world);
     // The blend weights of several base materials, and the resulting roughness.
     if materials.len() > 1 {
         let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
         let numbers = materials.iter().map(|(number, _)| *number);
         write_layers(&folder.join("blend.exr"), atlas, weight_channels(&blends, numbers))?;
-        picture("blend.png", blends.iter().map(|blend| Vec3::from_slice(&blend.0)).collect())?;
+        picture("blend.png", &blends.iter().map(|blend| Vec3::from_slice(&blend.0)).collect::<Vec<_>>())?;
         let by_number = || materials.iter().map(|(number, lobe)| (*number, lobe));
         let roughness: Vec<f32> = blends.iter().map(|blend| blend.roughness(by_number())).collect();
-        picture("roughness.png", roughness.iter().map(|r| Vec3::splat(*r)).collect())?;
+        picture("roughness.png", &gray(&roughness))?;
         write_layers(&folder.join("roughness.exr"), atlas, [("Y".to_owned(), roughness)])?;
     }
     write_bytes(&folder.join("materials.ron"), materials_ron(&materials, scale).as_bytes())
 }
 
-/// Writes a texture as sRGB PNG and linear EXR.
-fn write_texture(path: &Path, colors: &[Vec3], atlas: &TexelAtlas) -> Result<()> {
-    write_rgb8(path.with_extension("png"), &preview(colors, atlas.width, atlas.height))?;
-    write_layers(&path.with_extension("exr"), atlas, vector_channels(RGB, colors))
-}
-
-/// Writes a light to the files that [`light_files`] names.
-fn write_light(lobes: &[LightLobe], folder: &Path, suffix: &str) -> Result<()> {
-    let [npy, exr, png] = light_files(suffix).map(|name| folder.join(name));
-    write_lobes(npy, lobes, NpyConvention::Lobelia)?;
-    write_map_exr(&write_environment(&png, lobes)?, exr)
-}
-
 /// The files of a recovered light: its lobes, as a map, as a picture. Those of further groups of
-/// photographs have a suffix: `_2`, `_3` …
-pub(crate) fn light_files(suffix: &str) -> [String; 3] {
+/// photographs, from 2, have their number at the end.
+pub(crate) fn light_files(number: usize) -> [String; 3] {
+    let suffix = if number == 1 { String::new() } else { format!("_{number}") };
     [format!("light{suffix}.npy"), format!("environment{suffix}.exr"), format!("environment{suffix}.png")]
 }
 

@@ -63,8 +63,7 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
                 if matches!(scene.views, Views::Photographed(_)) {
                     names.push(TRUE_ENVIRONMENT.to_owned());
                 }
-                let others = (2..scene.views.other_lights().len() + 2).map(|number| format!("_{number}"));
-                names.extend(others.chain([String::new()]).flat_map(|suffix| light_files(&suffix)));
+                names.extend((1..scene.views.other_lights().len() + 2).flat_map(light_files));
                 names.extend(of_views(fit.cameras, fit.exposure));
             }
             Pass::Shape(shape) => {

@@ -209,13 +209,12 @@ fn fit_pictures(out: &Path, pass: &str, pictures: &mut Pictures) -> Vec<ReportPi
         let address = pictures.small(&out.join(pass).join(file), TEXTURE_SIDE)?;
         Some(ReportPicture { title: format!("{pass}: {title}"), address })
     };
-    let [_, _, own] = light_files("");
-    let mut all: Vec<ReportPicture> = shown(&own, "recovered light").into_iter().collect();
-    // Those of further groups of photographs, as many as there are.
-    all.extend((2..).map_while(|number| {
-        let [_, _, other] = light_files(&format!("_{number}"));
-        shown(&other, &format!("recovered light {number}"))
-    }));
+    // As many as there are of groups of photographs.
+    let light = |number: usize| match number {
+        1 => shown(&light_files(1)[2], "recovered light"),
+        _ => shown(&light_files(number)[2], &format!("recovered light {number}")),
+    };
+    let mut all: Vec<ReportPicture> = (1..).map_while(light).collect();
     all.extend(PICTURES.iter().filter_map(|(file, title)| shown(file, title)));
     all
 }
