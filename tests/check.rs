@@ -38,6 +38,10 @@ fn out_gets_the_survey_as_json() {
     assert_eq!(files_below(&data.path("look")), ["survey.json"]);
     let survey = data.json("look/survey.json");
     assert_eq!((survey["views"].as_array().unwrap().len(), &survey["layout"]), (8, &Value::from("PhySg")));
+    let (view, distance) = (&survey["views"][4], &survey["cameras"]["distance"][0]);
+    assert!(view["mask"].is_object() && view["mask"]["small"].is_null(), "{view}");
+    assert!(view["overlap"].is_number() && distance.as_f64() > Some(2.0), "{survey}");
+    assert!(survey["findings"].is_array() && survey["estimate"]["bytes"].is_number(), "{survey}");
     check(&data, &["--out", "look"]).refused(&["--out has nothing to show"]);
     // An output that cannot be written is refused before photographs are read.
     data.write("afile", "");

@@ -8,10 +8,6 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 const SIZE: u32 = 40;
 
-fn lamp(axis: Vec3, amplitude: f32) -> LightLobe {
-    LightLobe { axis: axis.normalize(), sharpness: 12.0, amplitude: Vec3::splat(amplitude) }
-}
-
 /// An object of two colors under two lamps.
 fn truth() -> Object {
     let folder = tempfile::tempdir().unwrap();
@@ -25,7 +21,7 @@ fn truth() -> Object {
     Object::open(&path).unwrap()
 }
 
-fn capture() -> Capture {
+static CAPTURE: LazyLock<Capture> = LazyLock::new(|| {
     let mut truth = truth();
     let cameras = Camera::around(16, 2.8, 38.0, SIZE).unwrap().into_iter().enumerate();
     let view = |(i, camera): (usize, Camera)| {
@@ -33,9 +29,7 @@ fn capture() -> Capture {
         ViewRecord::of_camera(format!("{i:02}"), Split::Train, camera).with_frame(frame)
     };
     Capture::from(cameras.map(view).collect::<Vec<_>>()).hold_out(8)
-}
-
-static CAPTURE: LazyLock<Capture> = LazyLock::new(capture);
+});
 
 fn options() -> ReconstructOptions {
     let fit = FitPass { steps: 150, batch: 1024, ..FitPass::default() };
@@ -66,7 +60,8 @@ fn an_object_found_from_photographs_in_memory_is_shown_kept_and_opened_again() {
 
     let gold = || [Edit::metal("#d4af37", 0.2).unwrap()];
     // Another light and an edit leave what was found.
-    let below = Light::of_lobes(vec![lamp(Vec3::NEG_Y, 3.0)]);
+    let below =
+        Light::of_lobes(vec![LightLobe { axis: Vec3::NEG_Y, sharpness: 12.0, amplitude: Vec3::splat(3.0) }]);
     let night = object.relit(&below).render(camera).unwrap();
     let golden = object.edited(gold()).render(camera).unwrap();
     let both = object.relit(&below).edited(gold()).render(camera).unwrap();

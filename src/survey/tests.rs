@@ -513,12 +513,7 @@ fn a_turned_mesh_and_another_unit_or_place_are_named() {
 fn without_a_mistake_that_explains_it_there_is_no_recipe() {
     let rod = box_mesh(Vec3::new(0.0, -0.5, 0.0), Vec3::new(0.02, 0.02, 1.5)).unwrap();
     let survey = surveyed(&good(), Some(&rod));
-    first_is(&survey, "mesh-misses-masks", "the mesh does not cover the masks");
-    first_is(
-        &survey,
-        "mesh-misses-masks",
-        "None of the usual mistakes explains it (tried: camera axes of OpenGL",
-    );
+    first_is(&survey, "mesh-misses-masks", "None of the usual mistakes explains it (tried: camera axes of");
     // A mesh that is only a little off is no reason to stop.
     let survey = surveyed(&good(), Some(&moved(|p| p * Vec3::new(1.0, 1.0, 1.25))));
     assert!(survey.findings_of(Severity::Error).next().is_none(), "{:?}", survey.findings);
@@ -595,20 +590,6 @@ fn the_table_says_what_there_is() {
     let views: Vec<String> = (0..7).map(|i| format!("v{i}")).collect();
     assert_eq!(named(&views[..1]), "view `v0`");
     assert_eq!(named(&views), "views `v0`, `v1`, `v2`, `v3`, `v4` and 2 more");
-}
-
-#[test]
-fn json_has_findings_and_views_without_pixels() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("survey.json");
-    changed(4, |_| Vec3::ZERO).write_json(&path, &Estimate::default()).unwrap();
-    let value: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
-    let finding = &value["findings"][0];
-    assert_eq!((&finding["name"], &finding["views"][0]), (&"black".into(), &"v4".into()));
-    let view = &value["views"][4];
-    assert_eq!(view["light"]["median"], 0.0);
-    assert!(view["mask"]["small"].is_null() && view["overlap"].as_f64() > Some(0.9));
-    assert!(value["cameras"]["distance"][0].as_f64() > Some(2.0) && value["estimate"]["bytes"].is_number());
 }
 
 #[test]

@@ -139,22 +139,6 @@ mod tests {
     }
 
     #[test]
-    fn long_lines_are_named_and_not_drawn() {
-        let line = format!("Scene(\n    /*{}*/ seed: -3)", "ü".repeat(65_536));
-        let at = line.find("-3").unwrap();
-        let labels = vec![Label { at: at..at + 2, text: "expected a whole number".into() }];
-        let fault = Fault { message: "seed is wrong".into(), labels, help: String::new() };
-        let long = SceneDiagnostic { text: line, ..diagnostic(vec![fault]) };
-        for renderer in [Renderer::plain(), Renderer::styled()] {
-            let text = drawn(&long, renderer);
-            for words in ["seed is wrong", "a.ron:2:65552", "expected a whole number", "As edited."] {
-                assert!(text.contains(words), "no {words:?} in\n{text}");
-            }
-            assert!(text.len() < 1000, "{}", text.len());
-        }
-    }
-
-    #[test]
     fn sentences_are_wrapped_between_words() {
         assert_eq!(wrapped("one two\nthree"), "one two\nthree");
         let long = wrapped(&"twelve chars ".repeat(30));

@@ -374,12 +374,7 @@ mod tests {
         vec![PassRecord::waiting("novel", files.iter().map(|file| format!("novel/{file}")).collect())]
     }
 
-    const SCENE: &str = r#"Scene(
-    version: 1,
-    surface: Sphere(),
-    views: Cameras([(name: "a", eye: (0, 0, 3), width: 4, height: 4)]),
-    seed: 7,
-)"#;
+    const SCENE: &str = r#"(version: 1, surface: Sphere(), views: Cameras([(name: "a", eye: (0, 0, 3))]))"#;
 
     fn begin(out: &Path, files: &[&str]) -> RunRecord {
         let scene = read(SCENE.to_owned(), Path::new("scene.ron"), &LoadOptions::default()).unwrap();
