@@ -9,8 +9,8 @@
 //! | values | [`Surface`], [`Mesh`], [`sphere_mesh`], [`box_mesh`], [`LightLobe`], [`EnvironmentMap`], [`Diffuse`], [`SpecularLobe`] |
 //! | results, and from other crates | [`Result`], [`Error`], [`Vec3`], [`Arc`] |
 //!
-//! The names of systems, slots and components of one's own are in [`ecs`](crate::ecs). Programs with
-//! these names are in [`capture`](crate::capture) and [`object`](crate::object).
+//! The names of systems, slots and components of one's own are in [`ecs`](crate::ecs). Programs
+//! with these names are in [`capture`](crate::capture) and [`object`](crate::object).
 
 pub use crate::capture::Capture;
 pub use crate::object::progress::{Progress, Step};

@@ -39,8 +39,8 @@ pub trait Progress: Send + Sync {
     /// A line of result.
     fn print(&self, _text: &str) {}
 
-    /// Creates a bar of `length` steps with a title; dropping removes it. A length of 0 is one that is
-    /// not known, or not yet.
+    /// Creates a bar of `length` steps with a title; dropping removes it. A length of 0 is one that
+    /// is not known, or not yet.
     fn bar(&self, _title: &str, _length: u64) -> Box<dyn Bar> {
         Box::new(Silent)
     }

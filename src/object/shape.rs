@@ -261,8 +261,8 @@ fn match_reflections(object: &mut Object, name: &str, mesh: &mut Mesh) -> bool {
     is_used
 }
 
-/// Gives a mesh texture coordinates for `size` texels a side, or for more if its charts do
-/// not fit: what was found is not lost for that.
+/// Gives a mesh texture coordinates for `size` texels a side, or for more if its charts do not fit:
+/// what was found is not lost for that.
 fn unwrap_by(mut size: u32, mesh: &Mesh) -> Result<(Mesh, u32)> {
     loop {
         match unwrap_mesh(mesh, size) {

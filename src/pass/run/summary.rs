@@ -63,8 +63,8 @@ impl Reporter {
         Self { written: live.then(Instant::now), ..Self::default() }
     }
 
-    /// Now and then writes a page with the curves and worst views of the fit or shape at work, if the
-    /// run is watched.
+    /// Now and then writes a page with the curves and worst views of the fit or shape at work, if
+    /// the run is watched.
     pub fn step(&mut self, out: &Path, at: &Step, world: &mut World) {
         if self.written.is_none_or(|written| written.elapsed() < RELOAD) {
             return;
@@ -210,9 +210,9 @@ fn fit_pictures(out: &Path, pass: &str, pictures: &mut Pictures) -> Vec<ReportPi
         Some(ReportPicture { title: format!("{pass}: {title}"), address })
     };
     // As many as there are of groups of photographs.
-    let light = |number: usize| match number {
-        1 => shown(&light_files(1)[2], "recovered light"),
-        _ => shown(&light_files(number)[2], &format!("recovered light {number}")),
+    let light = |number: usize| {
+        let of = if number == 1 { String::new() } else { format!(" {number}") };
+        shown(&light_files(number)[2], &format!("recovered light{of}"))
     };
     let mut all: Vec<ReportPicture> = (1..).map_while(light).collect();
     all.extend(PICTURES.iter().filter_map(|(file, title)| shown(file, title)));
