@@ -408,18 +408,11 @@ const LOG_EVERY: u32 = 20;
 #[derive(Resource, Serialize, Deserialize)]
 pub(crate) struct StepLog(pub String);
 
-/// The first line of the log.
-const COLUMNS: &str = "step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness,lobes\n";
-
 /// Begins the log, also again: without the steps of what has been given up.
 pub(super) fn begin_log(world: &mut World) {
     keep_resource::<StepLog>(world, Span::Pass);
-    world.insert_resource(StepLog(COLUMNS.into()));
-}
-
-/// The text of the log, which is then gone.
-pub(crate) fn take_log(world: &mut World) -> String {
-    world.remove_resource::<StepLog>().map_or_else(|| COLUMNS.into(), |log| log.0)
+    let columns = "step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness,lobes\n";
+    world.insert_resource(StepLog(columns.into()));
 }
 
 /// The shader for the settings of a scene file.

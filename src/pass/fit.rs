@@ -1,7 +1,7 @@
 //! The passes `Fit` and `Shape`: they recover what is unknown from the training views and write the
 //! results.
 
-use crate::object::fit::take_log;
+use crate::object::fit::StepLog;
 use crate::object::save::{RGB, vector_channels, weight_channels, write_layers};
 use crate::object::{Object, photograph::TrueObject, progress::Step};
 use crate::pass::view_report::{csv_entry, note_fit};
@@ -57,7 +57,8 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &FitPass) -> Result<()>
     if let Some(truth) = object.pipeline.world.get_resource::<TrueObject>() {
         write_environment(&folder.join(TRUE_ENVIRONMENT), &truth.lights[0].lobes)?;
     }
-    write_bytes(&folder.join("log.csv"), take_log(&mut object.pipeline.world).as_bytes())?;
+    let StepLog(log) = object.pipeline.world.resource();
+    write_bytes(&folder.join("log.csv"), log.as_bytes())?;
     write_views(object, out, &pass.name, pass.cameras)?;
     if summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
 }
