@@ -48,11 +48,8 @@ impl Drop for Appearance<'_> {
     fn drop(&mut self) {
         if self.is_in {
             let pipeline = &mut self.object.pipeline;
-            pipeline.swap(Phase::Compose, Slot::Material, show_recovered()).swap(
-                Phase::Compose,
-                Slot::Light,
-                provide_light(LightChoice::Own, false),
-            );
+            pipeline.swap(Phase::Compose, Slot::Material, show_recovered());
+            pipeline.swap(Phase::Compose, Slot::Light, provide_light(LightChoice::Own, false));
             set_shading(pipeline, &RenderSettings::default(), 0);
         }
     }
