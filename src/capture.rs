@@ -18,9 +18,8 @@ use crate::scene::{
 use crate::survey::{Severity, Survey, open::OpenScene};
 use crate::{object::photograph::camera_of, prepare::scene_file::scene_for};
 use glam::Vec3;
-use lobelia_geometry::error::{Result, stop::check_interrupted};
-use lobelia_geometry::{parallel, view::Camera, view::Split, view::ViewRecord};
-use lobelia_io::dataset::{DatasetOptions, Layout, has_split, load_notes};
+use lobelia_geometry::{Result, view::Camera, view::Split, view::ViewRecord};
+use lobelia_io::dataset::{DatasetOptions, Layout, has_split};
 use lobelia_solve::fit::{cameras::CameraUnknowns, exposure::ExposureChoice};
 use std::{ops::Deref, path::Path};
 use tracing::info_span;
@@ -172,23 +171,15 @@ pub(crate) fn read_views(
     let learns = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_) | Pass::Evaluate(_));
     let is_used = matches!(scene.surface, Surface::Unknown { .. }) || scene.passes.iter().any(learns);
     let bar = progress.bar("photographs", data.views.len() as u64);
-    let read: Vec<Result<_>> = parallel::map_slice(&data.views, 1, |view| {
-        check_interrupted()?;
-        let loaded = data.load(view)?;
-        let look = is_used.then(|| data.look(view, &loaded));
-        bar.inc(1);
-        Ok((loaded, look))
-    });
-    // The first error, in the order of the views, ends it.
-    let (loaded, looks): (Vec<_>, Vec<_>) = read.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
-    bar.finish_and_clear();
-    data.notes.iter().chain(&load_notes(&loaded)).for_each(|note| progress.note(note));
-    let survey = is_used.then(|| data.examine(looks.into_iter().flatten().collect())).transpose()?;
+    let (views, looks, notes) = data.read(|_| bar.inc(1))?;
+    drop(bar);
+    notes.iter().for_each(|note| progress.note(note));
+    let survey = is_used.then(|| data.examine(looks)).transpose()?;
     if let Some(survey) = &survey {
         survey.findings_of(Severity::Warning).for_each(|warning| progress.note(&warning.problem));
         survey.findings_of(Severity::Error).next().map_or(Ok(()), |error| Err(error.to_error()))?;
     }
-    Ok((loaded.into_iter().map(|view| view.record).collect(), survey))
+    Ok((views, survey))
 }
 
 /// Cameras without photographs.

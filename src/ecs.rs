@@ -14,20 +14,7 @@
 //! | shadows and interreflection | [`see_material`], [`see_material_of_step`], [`ShownMaterial`], [`ObjectVisibility`], [`VisibilitySettings`] |
 //! | fitting | [`FitPlugin`], [`run_fit`], [`FitOptions`], [`Unknowns`], [`Initialize`], [`FitProgress`], [`FitSummary`] |
 //!
-//! ```
-//! use lobelia::{ecs::*, prelude::*};
-//!
-//! let surface = Arc::new(Surface::new(sphere_mesh(Vec3::ZERO, 0.8)?, 16)?);
-//! let mut pipeline = Pipeline::new();
-//! pipeline.add_plugin(&FramePlugin);
-//! let albedo = vec![Vec3::splat(0.5); surface.atlas().position.len()];
-//! let lamp = LightLobe { axis: Vec3::Y, sharpness: 4.0, amplitude: Vec3::ONE };
-//! spawn_object(&mut pipeline.world, &surface, &albedo, &[SpecularLobe::new(Vec3::splat(0.04), 0.5)], &[lamp]);
-//! let camera = Camera::look_at(Vec3::new(0.0, 1.0, 3.0), Vec3::ZERO, Vec3::Y, 38.0, 16, 16)?;
-//! let frame = resolve(&render_frame(&mut pipeline, camera, 1)?);
-//! assert!(frame.color.iter().any(|c| c.y > 0.1));
-//! # Ok::<(), lobelia::Error>(())
-//! ```
+//! The first page of the [crate] shows how they go together.
 
 // Bevy's prelude has another.
 pub use lobelia_geometry::Result;

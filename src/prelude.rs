@@ -9,18 +9,8 @@
 //! | values | [`Surface`], [`Mesh`], [`sphere_mesh`], [`box_mesh`], [`LightLobe`], [`EnvironmentMap`], [`Diffuse`], [`SpecularLobe`] |
 //! | results, and from other crates | [`Result`], [`Error`], [`Vec3`], [`Arc`] |
 //!
-//! The names of systems, slots and components of one's own are in [`ecs`](crate::ecs).
-//!
-//! ```
-//! use lobelia::prelude::*;
-//!
-//! // Photographs without pixels: an object is found from some that have.
-//! let cameras = Camera::around(16, 2.8, 38.0, 64)?.into_iter().enumerate();
-//! let view = |(i, camera)| ViewRecord::of_camera(format!("{i:02}"), Split::Train, camera);
-//! let capture = Capture::from(cameras.map(view).collect::<Vec<_>>()).hold_out(8);
-//! assert_eq!(capture.test().len(), 2);
-//! # Ok::<(), lobelia::Error>(())
-//! ```
+//! The names of systems, slots and components of one's own are in [`ecs`](crate::ecs). Programs
+//! with these names are in [`capture`](crate::capture) and [`object`](crate::object).
 
 pub use crate::capture::Capture;
 pub use crate::object::progress::{Progress, Step};

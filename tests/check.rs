@@ -2,7 +2,7 @@
 //! time, and that the two agree: what one refuses the other refuses, with the same message, and
 //! what `check` takes does run.
 
-use crate::common::{Data, NOVEL, Outcome, changed, files_below, scene, usual};
+use crate::common::{Data, Outcome, files_below, usual};
 use serde_json::Value;
 
 /// Checks the scene in the folder of its data.
@@ -38,6 +38,10 @@ fn out_gets_the_survey_as_json() {
     assert_eq!(files_below(&data.path("look")), ["survey.json"]);
     let survey = data.json("look/survey.json");
     assert_eq!((survey["views"].as_array().unwrap().len(), &survey["layout"]), (8, &Value::from("PhySg")));
+    let (view, distance) = (&survey["views"][4], &survey["cameras"]["distance"][0]);
+    assert!(view["mask"].is_object() && view["mask"]["small"].is_null(), "{view}");
+    assert!(view["overlap"].is_number() && distance.as_f64() > Some(2.0), "{survey}");
+    assert!(survey["findings"].is_array() && survey["estimate"]["bytes"].is_number(), "{survey}");
     check(&data, &["--out", "look"]).refused(&["--out has nothing to show"]);
     // An output that cannot be written is refused before photographs are read.
     data.write("afile", "");
@@ -77,28 +81,6 @@ fn a_mesh_in_millimeters_stops_a_run_and_a_warning_does_not() {
     assert!(run.stderr.contains("note: the exposure differs from that of views"), "{}", run.stderr);
 }
 
-#[test]
-fn check_refuses_what_a_run_refuses_before_its_first_pass() {
-    let data = Data::new();
-    data.write("bad.npy", "no numbers");
-    data.write("bad.glb", "no mesh");
-    let with = |pass: &str| changed(&usual(), "Evaluate(", &format!("{pass}, Evaluate("));
-    let known = "light: Fixed(Npy(path: \"$DATA/bad.npy\")), material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), \
-                 specular: (albedo: Fixed(0.05, 0.05, 0.05), roughness: Fixed(0.3)))";
-    for (scene, words) in [
-        (with(r#"Relight(name: "relit", light: Npy(path: "$DATA/bad.npy"))"#), "bad.npy"),
-        (changed(&usual(), "Evaluate(", r#"Evaluate(mesh: "$DATA/bad.glb", "#), "bad.glb"),
-        (with(r#"Render(name: "one", render: (views: Named(["nope"])))"#), "there is no view nope"),
-        (changed(&scene(NOVEL), "light: Unknown(lobes: 6)", known), "bad.npy"),
-    ] {
-        let looked = data.check(&scene);
-        let run = data.run(&scene, "out", &["--quiet"]);
-        looked.refused(&[words]);
-        assert!(looked.stdout.contains("scene.ron: 1 error"), "{}", looked.stdout);
-        assert_eq!((looked.code, looked.stderr), (run.code, run.stderr));
-    }
-}
-
 /// Choices for each part of a scene: words that are right, and some that are not. The first of each
 /// are right together.
 const SURFACES: [&str; 6] = [
@@ -124,7 +106,7 @@ const LIGHTS: [&str; 4] = [
     r#"Fixed(Npy(path: "$DATA/mesh.glb"))"#,
     r#"Initial(Map(path: "$DATA/mesh.glb"))"#,
 ];
-const PASSES: [&str; 12] = [
+const PASSES: [&str; 14] = [
     r#"Fit(name: "more", steps: 2, batch: 64)"#,
     r#"Edit(name: "edit", edits: [Roughness(action: Set(0.2))])"#,
     r#"Relight(name: "relit", light: Npy(path: "$DATA/evening.npy"))"#,
@@ -135,6 +117,8 @@ const PASSES: [&str; 12] = [
     r#"Render(name: "named", render: (views: Named(["rgb_000000"])))"#,
     r#"Render(name: "wrong", render: (views: Named(["nope"])))"#,
     r#"Edit(name: "edit", edits: [Diffuse(action: Texture("$DATA/mesh.glb"))])"#,
+    r#"Relight(name: "relit", light: Npy(path: "$DATA/mesh.glb"))"#,
+    r#"Evaluate(name: "meshes", mesh: "$DATA/evening.npy")"#,
     r#"Evaluate(name: "folder", scores: [(pass: "novel", truth: Folder("$DATA/test/gt"))])"#,
     r#"Evaluate(name: "relit_scores", scores: [(pass: "relit", truth: Folder("$DATA/test/gt/relit"))])"#,
 ];

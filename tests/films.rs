@@ -198,24 +198,6 @@ fn files_of_bands_have_the_bytes_of_files_of_the_whole() {
 }
 
 #[test]
-fn a_picture_that_is_stopped_amid_its_bands_leaves_no_file_and_the_next_is_whole() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut pipeline = studio(&day());
-    let mut taken = 0;
-    let stopped: Result<()> = write_frame_rows(folder.path().join("view.exr"), [19, 23], |layers| {
-        render_bands(&mut pipeline, view(19, 23), 1, 7, &mut |_, _, band| {
-            taken += 1;
-            if taken == 3 { Err(Error::Interrupted) } else { layers.push(band) }
-        })
-    });
-    assert!(matches!(stopped, Err(Error::Interrupted)));
-    assert_eq!(taken, 3);
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-    let again = in_bands(&mut pipeline, view(19, 23), 1, 23);
-    assert!(again == in_bands(&mut studio(&day()), view(19, 23), 1, 23));
-}
-
-#[test]
 fn memory_of_a_picture_does_not_grow_with_its_height() {
     assert_eq!([[16_384, 16_384], [800, 800], [5, 7]].map(band_rows), [32, 640, 7]);
     let bytes = |width, height| frame_bytes([width, height]);

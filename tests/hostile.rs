@@ -223,7 +223,8 @@ fn photographs_and_masks_that_are_cut_missing_empty_or_of_another_size() {
     refused(remove("test/image/rgb_000001.exr"), &["rgb_000001.exr", "missing"]);
     let small = DynamicImage::ImageLuma8(GrayImage::from_pixel(8, 24, Luma([255])));
     let words = ["rgb_000001.png", "8×24", "24×24"];
-    refused(|data| save_png(&data.path("train/mask/rgb_000001.png"), &small), &words);
+    // What is needed last is checked first, too.
+    refused(|data| save_png(&data.path("test/mask/rgb_000001.png"), &small), &words);
 }
 
 #[test]

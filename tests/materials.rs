@@ -358,18 +358,6 @@ fn an_unknown_albedo_is_fitted_beside_a_known_one_along_the_surface() {
 }
 
 #[test]
-fn a_fit_keeps_a_known_albedo_along_the_surface() {
-    let data = Data::new();
-    let text = scene(FIT).replace("passes:", "material: (sheen: Fixed(Constant(0.7, 0.3, 0.1))), passes:");
-    data.run(&text, "out", &["--quiet"]).succeeded();
-    let along = data.exr("out/fit/albedo_along.exr");
-    for (channel, expected) in [("R", 0.7), ("G", 0.3), ("B", 0.1)] {
-        let off = along.channels[channel].iter().map(|found| (found - expected).abs()).fold(0.0, f32::max);
-        assert!(off < 1e-3, "{channel}: off by {off}");
-    }
-}
-
-#[test]
 fn a_saved_sheen_opens_with_the_same_bits() {
     let data = Data::bare();
     let text = GRAY_SPHERE

@@ -194,30 +194,6 @@ fn a_killed_run_leaves_no_mixture_and_no_lock() {
     assert!(!files_below(&out).iter().any(|file| is_temporary(file)));
 }
 
-#[cfg(unix)]
-#[test]
-fn a_run_that_fails_late_says_so() {
-    let data = Data::new();
-    data.run(&usual(), "out", &["--quiet"]).succeeded();
-    assert_eq!(data.manifest("out")["state"], "finished");
-    let late = scene(&[FIT, NOVEL, ENDLESS].concat());
-    let at_work = AtWork::start(&data, &late, &["--force"], "endless");
-    // A fit that is stopped before its first step has nothing to write.
-    at_work.until_a_step();
-    // A folder in the way of a result.
-    std::fs::create_dir_all(data.path("out/endless/light.npy/x")).unwrap();
-    at_work.signal("TERM");
-    assert_eq!(at_work.ended(), Some(1));
-    let after = data.manifest("out");
-    assert_eq!(after["state"], "failed");
-    assert!(after["error"].as_str().unwrap().contains("light.npy"), "{after}");
-    assert_eq!(data.states("out")[1..], ["finished", "failed"]);
-    let metrics = data.metrics("out");
-    assert!(metrics["passes"].as_object().is_none_or(|passes| passes.is_empty()), "{metrics}");
-    let report = data.text("out/report.html");
-    assert!(report.contains("s-failed") && report.contains("light.npy"), "the error is in the report");
-}
-
 #[test]
 fn a_pass_that_fails_ends_only_what_needs_it() {
     let data = Data::new();
@@ -232,6 +208,8 @@ fn a_pass_that_fails_ends_only_what_needs_it() {
     assert_eq!(data.states("out"), ["finished", "finished", "failed", "skipped", "finished", "finished"]);
     assert_eq!(manifest["state"], "failed");
     assert!(manifest["error"].as_str().unwrap().contains("rgb_000000.exr"), "{manifest}");
+    let report = data.text("out/report.html");
+    assert!(report.contains("s-failed") && report.contains("rgb_000000.exr"), "the error is in the report");
     // Scores that can be taken are.
     assert!(data.metrics("out")["passes"]["novel"]["psnr"].is_number());
     assert!(data.path("out/saved/scene.ron").exists() && data.path("out/scores/contact_sheet.png").exists());

@@ -17,16 +17,6 @@ fn usual() -> String {
 // What can fail late fails first.
 
 #[test]
-fn a_test_mask_of_another_size_ends_check_and_run_before_the_first_pass() {
-    let data = Data::new();
-    let small = image::GrayImage::from_pixel(2, 2, image::Luma([255]));
-    save_png(&data.path("test/mask/rgb_000001.png"), &image::DynamicImage::ImageLuma8(small));
-    data.run(&usual(), "out", &["--quiet"]).refused(&["the mask has 2×2 pixels, its view 24×24"]);
-    assert!(files_below(&data.path("out")).is_empty());
-    data.check(&usual()).refused(&["the mask has 2×2 pixels"]);
-}
-
-#[test]
 fn a_truth_that_goes_while_the_fit_works_costs_its_scores_alone_and_the_run_goes_on() {
     let data = Data::new();
     let scores = r#"Evaluate(scores: [(pass: "novel", truth: Folder("$DATA/test/gt/relit"))]), Save(),"#;

@@ -97,23 +97,14 @@ const NDF_HOPELESS: [(u32, f64); 2] = [(20, 1.6), (50, 1.15)];
 /// Error with GGX relative to that of the spherical Gaussian below which it is chosen.
 const NDF_CLEARLY: f64 = 0.975;
 
-/// What a fit has found beside the components that it moved.
-pub(crate) struct FitFound {
-    /// Its steps and findings.
-    pub summary: FitSummary,
-    /// Covered texels that no view sees.
-    pub unseen: usize,
-    /// The scale between light and albedo, the same in all outputs.
-    pub scale: ScaleFound,
-}
-
 impl Object {
-    /// Finds what is unknown of light and material from the training photographs.
+    /// Finds what is unknown of light and material from the training photographs. Returns the steps
+    /// and findings of the fit, and the number of covered texels that no view sees.
     ///
     /// # Errors
     /// If there are no pixels to fit to, or a system fails. A fit that is stopped leaves what it
     /// has found until then.
-    pub(crate) fn find(&mut self, pass: &FitPass) -> Result<FitFound> {
+    pub(crate) fn find(&mut self, pass: &FitPass) -> Result<(FitSummary, usize)> {
         if let Gloss::Texels { smoothness, color_width, specular } = self.scene().material.gloss {
             let first = initial_specular(&self.scene().material.specular).roughness;
             let prior = RoughnessPrior::new(self.surface().atlas(), smoothness, color_width, specular);
@@ -147,10 +138,9 @@ impl Object {
             unseen = fill_texels(self)?;
         }
         let [mean_light, mean_albedo] = means(&mut self.pipeline.world)?.map(|mean| mean.to_array());
-        let scale = ScaleFound { rule, mean_light, mean_albedo };
         self.scores().add_fit_secs(summary.elapsed_secs);
-        self.scores().scale = Some(scale.clone());
-        Ok(FitFound { summary, unseen, scale })
+        self.scores().scale = Some(ScaleFound { rule, mean_light, mean_albedo });
+        Ok((summary, unseen))
     }
 }
 
@@ -412,25 +402,17 @@ fn put_lobe(world: &mut World, lobe: SpecularLobe) {
 /// Pixels of a step from which the error of twenty tells that a trial is hopeless.
 const TELLING_PIXELS: f32 = 500.0;
 /// Steps between two lines of the log.
-pub(crate) const LOG_EVERY: u32 = 20;
+const LOG_EVERY: u32 = 20;
 
-/// The text of `log.csv`.
+/// The log of the `Fit` or `Shape` at work: the text of `log.csv`.
 #[derive(Resource, Serialize, Deserialize)]
-struct FitLog(String);
-
-/// The first line of the log.
-pub(crate) const COLUMNS: &str =
-    "step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness,lobes\n";
+pub(crate) struct StepLog(pub String);
 
 /// Begins the log, also again: without the steps of what has been given up.
 pub(super) fn begin_log(world: &mut World) {
-    keep_resource::<FitLog>(world, Span::Pass);
-    world.insert_resource(FitLog(COLUMNS.into()));
-}
-
-/// The text of the log, which is then gone.
-pub(crate) fn take_log(world: &mut World) -> String {
-    world.remove_resource::<FitLog>().map_or_else(|| COLUMNS.into(), |log| log.0)
+    keep_resource::<StepLog>(world, Span::Pass);
+    let columns = "step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness,lobes\n";
+    world.insert_resource(StepLog(columns.into()));
 }
 
 /// The shader for the settings of a scene file.
@@ -555,7 +537,7 @@ fn refine_texture(object: &mut Object, pass: &FitPass, options: &FitOptions) -> 
     bar.set_message("texture".into());
     let settings = DetailOptions { tilt, metal: options.unknowns.metal };
     solve_detail(&mut object.pipeline, settings, &mut |done| bar.set_position((100.0 * done) as u64))?;
-    bar.finish_and_clear();
+    drop(bar);
     let (side, seconds) = (object.surface().atlas().width, start.elapsed().as_secs_f64());
     object.print(&format!("{}: texture of {side}² texels from all pixels in {seconds:.1} s", pass.name));
     object.scores().add_fit_secs(seconds);
@@ -665,7 +647,6 @@ fn take_steps(
         bar.set_position(u64::from(at.step));
         if at.step % LOG_EVERY == 0 || at.step == at.steps {
             bar.set_message(format!("{:.1} dB", at.sums.psnr()));
-            log_line(&mut world.resource_mut::<FitLog>().0, at.step, at);
         }
         told = tell(&*progress, &pass.name, [at.step, at.steps], at, world);
         (error, psnr) = (at.sums.mean(), at.sums.psnr());
@@ -693,7 +674,6 @@ fn take_steps(
     check_parameters(&mut object.pipeline.world)?;
     let surface = object.surface();
     check_numbers("the surface's coordinate", surface.mesh().positions.iter().flat_map(|at| at.to_array()))?;
-    bar.finish_and_clear();
     Ok(Steps { summary, error, psnr, ended })
 }
 
@@ -724,7 +704,6 @@ fn error_after(
         let is_over = step == steps || given_up.is_some() || is_stopping();
         if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
-    bar.finish_and_clear();
     Ok((error, given_up))
 }
 
@@ -737,15 +716,19 @@ fn forget_shadows(world: &mut World) {
     }
 }
 
-/// Adds a line to a log: `step` of a `Fit` or `Shape`.
-pub(crate) fn log_line(log: &mut String, step: u32, at: &FitProgress) {
+/// Adds a line to the log, if one is due after a step.
+pub(super) fn log_step(world: &mut World, [step, steps]: [u32; 2], at: &FitProgress) {
+    if !step.is_multiple_of(LOG_EVERY) && step != steps {
+        return;
+    }
     let Vec3 { x: r, y: g, z: b } = at.specular.albedo;
     let (secs, loss, psnr) = (at.elapsed_secs, at.sums.mean(), at.sums.psnr());
     // Writing to a String cannot fail.
     let _ = writeln!(
-        log,
+        world.resource_mut::<StepLog>().0,
         "{step},{secs:.3},{loss:.6},{psnr:.3},{r:.4},{g:.4},{b:.4},{:.4},{}",
-        at.specular.roughness, at.lobes
+        at.specular.roughness,
+        at.lobes
     );
 }
 

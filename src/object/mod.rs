@@ -38,7 +38,7 @@ use crate::scene::{
     Surface as SurfaceSpec, Views, Visibility, load,
 };
 use crate::spawn::{
-    SurfaceUse, insert_known_along, light::angles, load_light, make_surface, spawn, unknowns,
+    Made, SurfaceUse, insert_known_along, light::angles, load_light, make_surface, spawn, unknowns,
 };
 use crate::survey::open::OpenScene;
 use bevy_ecs::prelude::{Mut, Resource, World};
@@ -171,8 +171,8 @@ impl Object {
     pub fn reconstruct(capture: &Capture, options: &ReconstructOptions) -> Result<Self> {
         options.stop.over(|| {
             let spec = SurfaceSpec::Unknown { cells: 128, texture_size: options.texture_size };
-            let (surface, _) = make_surface(&spec, capture, SurfaceUse::UntilShape)?;
-            let mut object = Self::of_capture(spec, surface, capture, options)?;
+            let made = make_surface(&spec, capture, SurfaceUse::UntilShape)?;
+            let mut object = Self::of_capture(spec, made, capture, options)?;
             let shape = options.shape.clone().unwrap_or_else(|| capture.shape_pass());
             if !object.find_shape(&shape)? {
                 object.find(&options.fit.clone().unwrap_or_else(|| capture.fit_pass_of_shape()))?;
@@ -190,7 +190,7 @@ impl Object {
             let texture_size = options.texture_size;
             let surface = Surface::new(unwrap_mesh(mesh, texture_size)?.mesh, texture_size)?;
             let spec = SurfaceSpec::Mesh { path: PathBuf::new(), texture_size, own_material: false };
-            let mut object = Self::of_capture(spec, surface, capture, options)?;
+            let mut object = Self::of_capture(spec, (surface, Vec::new()), capture, options)?;
             object.find(&options.fit.clone().unwrap_or_else(|| capture.fit_pass()))?;
             Ok(object)
         })
@@ -198,13 +198,13 @@ impl Object {
 
     fn of_capture(
         surface: SurfaceSpec,
-        of: Surface,
+        made: Made,
         capture: &Capture,
         options: &ReconstructOptions,
     ) -> Result<Self> {
         let ReconstructOptions { light, material, visibility, seed, progress, .. } = options.clone();
         let scene = Scene { seed, surface, light, material, visibility, ..capture.scene() };
-        Self::of_scene(scene, of, capture.to_vec(), progress, false)
+        Self::of_scene(scene, made, capture.to_vec(), progress, false)
     }
 
     /// Opens an object that was saved, or that a scene file says in another way; no pass is run, and
@@ -216,8 +216,8 @@ impl Object {
         let scene = load(path.as_ref(), &LoadOptions::default())?.scene;
         let data = OpenScene::new(&scene)?;
         let (views, _) = read_views(&scene, data.as_ref(), &Silent)?;
-        let (surface, _) = make_surface(&scene.surface, &views, SurfaceUse::Lasting)?;
-        Self::of_scene(scene.clone(), surface, views, Arc::new(Silent), true)
+        let made = make_surface(&scene.surface, &views, SurfaceUse::Lasting)?;
+        Self::of_scene(scene.clone(), made, views, Arc::new(Silent), true)
     }
 
     /// The world and its systems.
@@ -225,17 +225,18 @@ impl Object {
         &mut self.pipeline
     }
 
-    /// Puts what a scene says, its surface and its views into a world, and reads its other inputs. All lights are
-    /// read before anything is fitted, so that a bad file is found at once. Photographs that the
-    /// scene makes of its own object have pixels if they are to be `rendered`; checks look at none.
+    /// Puts what a scene says, its surface and its views into a world, and reads its other inputs.
+    /// All lights are read before anything is fitted, so that a bad file is found at once.
+    /// Photographs that the scene makes of its own object have pixels if they are to be `rendered`.
     pub(crate) fn of_scene(
         scene: Scene,
-        surface: Surface,
+        (surface, notes): Made,
         mut views: Vec<ViewRecord>,
         progress: Arc<dyn Progress>,
         rendered: bool,
     ) -> Result<Self> {
         let _opening = info_span!("scene opened").entered();
+        notes.iter().for_each(|note| progress.note(note));
         let surface = Arc::new(surface);
         let load = |source: &LightSource| {
             let light = load_light(source)?;
@@ -259,9 +260,8 @@ impl Object {
             world.insert_resource(truth);
         }
         check_cameras(&scene, &views, &surface)?;
-        let unknown_light = matches!(scene.light, Light::Unknown(_));
         let initialize = Initialize {
-            light: unknown_light,
+            light: matches!(scene.light, Light::Unknown(_)),
             albedo: matches!(scene.material.albedo, Albedo::Unknown),
             specular: scene.material.specular.is_open(),
         };
@@ -338,7 +338,7 @@ impl Object {
             let bar = self.progress().bar("shadows", 0);
             bar.set_message("tracing".into());
             let traced = ObjectVisibility::new(&self.surface(), settings);
-            bar.finish_and_clear();
+            drop(bar);
             check_interrupted()?;
             let (mib, elapsed) = (traced.bytes() as f64 / 1048576.0, start.elapsed().as_secs_f64());
             self.print(&format!("visibility: traced in {elapsed:.1} s, {mib:.1} MiB"));

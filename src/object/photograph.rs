@@ -1,7 +1,7 @@
 //! Rendered photographs: the scene's surface with a known material under a known light, path
 //! traced. The fit does not use that knowledge.
 
-use crate::object::show::{apply_edits, set_shading, spawn_edits};
+use crate::object::show::{apply_edits, camera_rays, set_shading, spawn_edits};
 use crate::scene::{CameraRing, CameraSpec, Edit, Pattern, Photographed, RenderSettings, Scene, Shading};
 use crate::{object::progress::Progress, spawn::LoadedLight, spawn::light::rotation, spawn::load_light};
 use bevy_ecs::prelude::Resource;
@@ -84,8 +84,8 @@ impl TrueObject {
         spawn_edits(&mut self.pipeline.world, TRUTH, edits, &self.surface)?;
         self.pipeline.swap(Phase::Compose, Slot::Material, show_edited(TRUTH));
         let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
-        let samples_per_pixel = ((f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32).pow(2);
-        let settings = RenderSettings { shading, samples_per_pixel, ..RenderSettings::default() };
+        let settings = RenderSettings { shading, samples_per_pixel: 64, ..RenderSettings::default() };
+        let rays = camera_rays(&settings);
         let mut frames = Vec::new();
         for (i, (camera, placement)) in views.iter().enumerate() {
             check_interrupted()?;
@@ -97,7 +97,7 @@ impl TrueObject {
             let choice = LightChoice::Named(name_of(number));
             self.pipeline.swap(Phase::Compose, Slot::Light, provide_light(choice, true));
             self.pipeline.world.insert_resource(PicturePlacement(room_from_object));
-            frames.push(resolve(&render_frame(&mut self.pipeline, *camera, settings.samples_per_pixel)?));
+            frames.push(resolve(&render_frame(&mut self.pipeline, *camera, rays)?));
             done();
         }
         Ok(frames)
@@ -109,7 +109,6 @@ impl TrueObject {
         let bar = to.bar("photograph", views.len() as u64);
         let shown: Vec<_> = views.iter().map(|view| (view.camera, view.placement)).collect();
         let frames = self.pictures(&shown, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
-        bar.finish_and_clear();
         Ok(views.into_iter().zip(frames).map(|(view, frame)| view.with_frame(frame)).collect())
     }
 }

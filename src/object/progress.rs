@@ -11,6 +11,7 @@
 //! progress.print("a line of result, which the closure leaves out");
 //! ```
 
+use crate::object::fit::log_step;
 use bevy_ecs::prelude::World;
 use lobelia_geometry::{Result, error::stop::Stop};
 use lobelia_solve::fit::run::FitProgress;
@@ -38,8 +39,8 @@ pub trait Progress: Send + Sync {
     /// A line of result.
     fn print(&self, _text: &str) {}
 
-    /// Creates a bar of `length` steps with a title; [`Bar::finish_and_clear`] or dropping removes
-    /// it. A length of 0 is one that is not known, or not yet.
+    /// Creates a bar of `length` steps with a title; dropping removes it. A length of 0 is one that
+    /// is not known, or not yet.
     fn bar(&self, _title: &str, _length: u64) -> Box<dyn Bar> {
         Box::new(Silent)
     }
@@ -63,7 +64,7 @@ impl<F: Fn(&Step) -> ControlFlow<()> + Send + Sync> Progress for F {
     }
 }
 
-/// Tells of a step, and asks the work of this thread to stop if that is the answer.
+/// Logs and tells of a step, and asks the work of this thread to stop if that is the answer.
 pub(super) fn tell(
     to: &dyn Progress,
     pass: &str,
@@ -71,6 +72,7 @@ pub(super) fn tell(
     fit: &FitProgress,
     world: &mut World,
 ) -> Result<()> {
+    log_step(world, [step, steps], fit);
     if to.step(&Step { pass, step, steps, fit }, world)?.is_break() {
         Stop::current().ask();
     }
@@ -91,9 +93,6 @@ pub trait Bar: Send + Sync {
 
     /// Sets the message beside the bar.
     fn set_message(&self, _message: String) {}
-
-    /// Finishes the task and removes the bar.
-    fn finish_and_clear(&self) {}
 }
 
 /// What is done with each step before it is passed on.

@@ -1,7 +1,9 @@
 //! The shape of an object: recovers an unknown surface from photographs and masks, and replaces the
 //! visual hull by it.
 
-use crate::object::{Object, fit::shader, progress::Progress, progress::tell, replace_surface};
+use crate::object::{
+    Object, fit::begin_log, fit::shader, progress::Progress, progress::tell, replace_surface,
+};
 use crate::scene::{GridLevel, ShapePass, Surface as SurfaceSpec};
 use crate::spawn::insert_known_along;
 use bevy_ecs::prelude::World;
@@ -47,6 +49,7 @@ impl Object {
             return Err(Error::run(name, "the surface is given: a `Shape` pass needs `surface: Unknown()`"));
         };
         let start = Instant::now();
+        begin_log(&mut self.pipeline.world);
         // Base materials have equal weights until the shape is recovered.
         self.pipeline.world.insert_resource(TexelPlaces::default());
         let (mut found, mut stopped) = fit(self, pass)?;
@@ -170,7 +173,6 @@ fn fit(object: &mut Object, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
         stopped |= failure.is_some() || is_stopping();
         if stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
-    bar.finish_and_clear();
     failure.map_or(Ok(()), Err)?;
     Ok((surface, stopped))
 }
@@ -215,7 +217,6 @@ fn refined<T>(
         bar.set_message(part.into());
         if is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
-    bar.finish_and_clear();
     (done, start.elapsed().as_secs_f64())
 }
 
@@ -260,13 +261,12 @@ fn match_reflections(object: &mut Object, name: &str, mesh: &mut Mesh) -> bool {
     is_used
 }
 
-/// Gives a mesh texture coordinates for `texture_size` texels a side, or for more if its charts do
-/// not fit: what was found is not lost for that.
-fn unwrap_by(texture_size: u32, mut unwrap: impl FnMut(u32) -> Result<Mesh>) -> Result<(Mesh, u32)> {
-    let mut size = texture_size;
+/// Gives a mesh texture coordinates for `size` texels a side, or for more if its charts do not fit:
+/// what was found is not lost for that.
+fn unwrap_by(mut size: u32, mesh: &Mesh) -> Result<(Mesh, u32)> {
     loop {
-        match unwrap(size) {
-            Ok(mesh) => return Ok((mesh, size)),
+        match unwrap_mesh(mesh, size) {
+            Ok(unwrapped) => return Ok((unwrapped.mesh, size)),
             // Nor for a signal.
             Err(Error::Interrupted) if is_stopping() => finish_stopping(),
             // No other error goes away with a larger texture.
@@ -279,7 +279,7 @@ fn unwrap_by(texture_size: u32, mut unwrap: impl FnMut(u32) -> Result<Mesh>) -> 
 /// Gives the mesh an atlas, and transfers the texels.
 fn put_in_place(object: &mut Object, found: &SdfSurface, mesh: &Mesh, texture_size: u32) -> Result<()> {
     let _placing = info_span!("mesh unwrapped").entered();
-    let (mesh, wider) = unwrap_by(texture_size, |size| Ok(unwrap_mesh(mesh, size)?.mesh))?;
+    let (mesh, wider) = unwrap_by(texture_size, mesh)?;
     if wider > texture_size {
         object.progress().note(&format!(
             "the surface that was found does not fit a texture of {texture_size}² texels: it gets {wider}²"
@@ -318,21 +318,10 @@ mod tests {
             mesh.normals.extend(part.normals);
         }
         assert!(unwrap_mesh(&mesh, 8).is_err());
-        let (unwrapped, size) = unwrap_by(8, |size| Ok(unwrap_mesh(&mesh, size)?.mesh)).unwrap();
+        let (unwrapped, size) = unwrap_by(8, &mesh).unwrap();
         assert!(size > 8 && size <= 512 && unwrapped.uvs.is_some(), "{size}");
-    }
-
-    #[test]
-    fn an_error_that_no_texture_mends_is_told_as_it_is() {
-        let mut mesh = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
-        mesh.uvs = None;
+        // An error that no texture mends is told as it is.
         mesh.positions[3].x = f32::NAN;
-        let mut tried = Vec::new();
-        let error = unwrap_by(64, |size| {
-            tried.push(size);
-            unwrap_mesh(&mesh, size).map(|unwrapped| unwrapped.mesh)
-        });
-        assert!(error.unwrap_err().to_string().contains("vertex 3 is not finite"));
-        assert_eq!(tried, [64]);
+        assert!(unwrap_by(64, &mesh).unwrap_err().to_string().contains("vertex 3 is not finite"));
     }
 }

@@ -223,9 +223,6 @@ pub(crate) fn camera_rays(settings: &RenderSettings) -> u32 {
     }
 }
 
-/// One edit, evaluated for the texels of a surface.
-type ResolvedEdit = (EditTarget, EditAction, EditRegion);
-
 /// Spawns edits with a name; replaces the edits that have it already.
 pub fn spawn_edits(world: &mut World, name: &str, edits: &[Edit], surface: &Surface) -> Result<()> {
     let resolved = resolved(edits, surface)?;
@@ -244,7 +241,8 @@ pub fn apply_edits(state: &mut MaterialState, edits: &[Edit], surface: &Surface)
     resolved.try_for_each(|(target, action, region)| apply_edit(state, target, &action, &region))
 }
 
-fn resolved(edits: &[Edit], surface: &Surface) -> Result<Vec<ResolvedEdit>> {
+/// Edits as they are of the texels of a surface.
+fn resolved(edits: &[Edit], surface: &Surface) -> Result<Vec<(EditTarget, EditAction, EditRegion)>> {
     let atlas = surface.atlas();
     let (width, height) = (atlas.width, atlas.height);
     let blend = |value: Vec3, weight: f32| EditAction::Blend { value, weight };

@@ -300,14 +300,6 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn directions_come_back() {
-        let axes = [Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y, Vec3::Z, Vec3::NEG_Z];
-        for axis in fibonacci_axes(1000).into_iter().chain(axes) {
-            assert!(direction(octahedral(axis)).distance(axis) < 1e-4, "{axis}");
-        }
-    }
-
-    #[test]
     fn a_range_of_one_value_has_it() {
         let flat = Range::of([2.0; 3].into_iter());
         assert_eq!(value(flat, flat.fraction(2.0)), 2.0);

@@ -1,23 +1,27 @@
-//! The `Fit` pass: recovers the unknowns from the training views and writes the results.
+//! The passes `Fit` and `Shape`: they recover what is unknown from the training views and write the
+//! results.
 
-use crate::object::fit::{FitFound, take_log};
+use crate::object::fit::StepLog;
 use crate::object::save::{RGB, vector_channels, weight_channels, write_layers};
-use crate::object::{Object, photograph::TrueObject};
+use crate::object::{Object, photograph::TrueObject, progress::Step};
 use crate::pass::view_report::{csv_entry, note_fit};
 use crate::report::scores::ScaleFound;
-use crate::scene::{FitPass, Views};
+use crate::scene::{FitPass, ShapePass, Views};
 use bevy_ecs::prelude::{With, World};
 use glam::{Vec3, Vec3A};
 use image::{Rgb, RgbImage};
 use lobelia_geometry::error::{Error, Result};
-use lobelia_geometry::mesh::atlas::TexelAtlas;
 use lobelia_geometry::view::{Camera, Photograph, Split, ViewIndex, ViewName};
+use lobelia_geometry::{mesh::atlas::TexelAtlas, parallel, sdf::extract::extract_mesh};
 use lobelia_io::codec::file::{check_finite, write_bytes};
 use lobelia_io::codec::tone::srgb8;
-use lobelia_io::codec::{envmap::write_map_exr, npy::NpyConvention, npy::write_lobes, png_file::write_rgb8};
+use lobelia_io::codec::{envmap::write_map_exr, gltf::export::write_glb, png_file::write_rgb8};
+use lobelia_io::codec::{npy::NpyConvention, npy::write_lobes};
+use lobelia_sg::{ray::Hit, ray::Intersect};
 use lobelia_solve::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
 use lobelia_solve::fit::exposure::{ExposureChoice, Exposures};
-use lobelia_solve::fit::{components::TexelSeen, roughness::TexelRoughness};
+use lobelia_solve::fit::{components::TexelSeen, roughness::TexelRoughness, run::FitSummary};
+use lobelia_solve::shape::field::SdfField;
 use lobelia_world::light::{EnvironmentMap, LightLobe, groups::all_lights, render_lobes};
 use lobelia_world::material::diffuse::{Diffuse, has_sheen};
 use lobelia_world::material::{SpecularBlend, SpecularLobe, TexelIndex, recovered_materials};
@@ -34,7 +38,7 @@ pub(crate) const TRUE_ENVIRONMENT: &str = "true_environment.png";
 /// Size of the picture of the recovered light, in texels.
 const ENVIRONMENT_SIZE: (u32, u32) = (512, 256);
 
-/// Runs the pass.
+/// Runs a `Fit` pass.
 ///
 /// # Errors
 /// If there are no pixels to fit to, a system fails, or the results cannot be written;
@@ -43,21 +47,23 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &FitPass) -> Result<()>
     // Created first, so that an unwritable folder is detected before the fit.
     let folder = out.join(&pass.name);
     std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
-    let found = object.find(pass)?;
+    let (summary, unseen) = object.find(pass)?;
     let _writing = info_span!("results written").entered();
     note_fit(object);
-    report(object, &pass.name, &found);
+    report(object, &pass.name, &summary, unseen);
     let surface = object.surface();
-    write_results(&mut object.pipeline.world, surface.atlas(), &folder, &found.scale)?;
+    let scale = object.scores().scale.clone().unwrap_or_default();
+    write_results(&mut object.pipeline.world, surface.atlas(), &folder, &scale)?;
     if let Some(truth) = object.pipeline.world.get_resource::<TrueObject>() {
         write_environment(&folder.join(TRUE_ENVIRONMENT), &truth.lights[0].lobes)?;
     }
-    write_bytes(&folder.join("log.csv"), take_log(&mut object.pipeline.world).as_bytes())?;
+    let StepLog(log) = object.pipeline.world.resource();
+    write_bytes(&folder.join("log.csv"), log.as_bytes())?;
     write_views(object, out, &pass.name, pass.cameras)?;
-    if found.summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
+    if summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
 }
 
-fn report(object: &mut Object, name: &str, FitFound { summary, unseen, .. }: &FitFound) {
+fn report(object: &mut Object, name: &str, summary: &FitSummary, unseen: usize) {
     let world = &mut object.pipeline.world;
     // One or two base materials completely, of more the range of roughness of the texels.
     let lobes: Vec<SpecularLobe> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
@@ -88,7 +94,7 @@ fn report(object: &mut Object, name: &str, FitFound { summary, unseen, .. }: &Fi
     if let Some(words) = summary.determined.and_then(|found| found.words()) {
         object.print(&format!("{name}: determined by the photographs: {words}"));
     }
-    if *unseen > 0 {
+    if unseen > 0 {
         object.progress().note(&format!("{unseen} texels that no view sees are filled from their neighbors"));
     }
 }
@@ -97,52 +103,45 @@ fn report(object: &mut Object, name: &str, FitFound { summary, unseen, .. }: &Fi
 /// base materials).
 fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &ScaleFound) -> Result<()> {
     for (number, lobes) in (1..).zip(all_lights(world)) {
-        let suffix = if number == 1 { String::new() } else { format!("_{number}") };
-        write_light(&lobes, folder, &suffix)?;
+        let [npy, exr, png] = light_files(number).map(|name| folder.join(name));
+        write_lobes(npy, &lobes, NpyConvention::Lobelia)?;
+        write_map_exr(&write_environment(&png, &lobes)?, exr)?;
     }
+    let picture = |name: &str, texels: &[Vec3]| {
+        write_rgb8(folder.join(name), &preview(texels, atlas.width, atlas.height))
+    };
     with_columns::<TexelIndex, &Diffuse, _>(world, |texels| {
         let write = |name: &str, of: fn(&Diffuse) -> Vec3| {
-            write_texture(&folder.join(name), &texels.iter().map(of).collect::<Vec<_>>(), atlas)
+            let colors: Vec<Vec3> = texels.iter().map(of).collect();
+            picture(&format!("{name}.png"), &colors)?;
+            write_layers(&folder.join(format!("{name}.exr")), atlas, vector_channels(RGB, &colors))
         };
         write("albedo", |texel| texel.albedo)?;
         if has_sheen(&texels) { write("albedo_along", Diffuse::along) } else { Ok(()) }
     })?;
+    let gray = |values: &[f32]| values.iter().map(|value| Vec3::splat(*value)).collect::<Vec<_>>();
     let seen = read_column::<TexelIndex, TexelSeen>(world)?;
-    let marks: Vec<Vec3> = seen.iter().map(|s| Vec3::splat(if s.0 > 1e-3 { 1.0 } else { 0.0 })).collect();
-    write_rgb8(folder.join("seen.png"), &preview(&marks, atlas.width, atlas.height))?;
+    let marks: Vec<f32> = seen.iter().map(|seen| if seen.0 > 1e-3 { 1.0 } else { 0.0 }).collect();
+    picture("seen.png", &gray(&marks))?;
     let materials = recovered_materials(world);
     // The blend weights of several base materials, and the resulting roughness.
     if materials.len() > 1 {
         let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
         let numbers = materials.iter().map(|(number, _)| *number);
         write_layers(&folder.join("blend.exr"), atlas, weight_channels(&blends, numbers))?;
-        let shown: Vec<Vec3> = blends.iter().map(|blend| Vec3::from_slice(&blend.0)).collect();
-        write_rgb8(folder.join("blend.png"), &preview(&shown, atlas.width, atlas.height))?;
+        picture("blend.png", &blends.iter().map(|blend| Vec3::from_slice(&blend.0)).collect::<Vec<_>>())?;
         let by_number = || materials.iter().map(|(number, lobe)| (*number, lobe));
         let roughness: Vec<f32> = blends.iter().map(|blend| blend.roughness(by_number())).collect();
-        let shown: Vec<Vec3> = roughness.iter().map(|r| Vec3::splat(*r)).collect();
-        write_rgb8(folder.join("roughness.png"), &preview(&shown, atlas.width, atlas.height))?;
+        picture("roughness.png", &gray(&roughness))?;
         write_layers(&folder.join("roughness.exr"), atlas, [("Y".to_owned(), roughness)])?;
     }
     write_bytes(&folder.join("materials.ron"), materials_ron(&materials, scale).as_bytes())
 }
 
-/// Writes a texture as sRGB PNG and linear EXR.
-fn write_texture(path: &Path, colors: &[Vec3], atlas: &TexelAtlas) -> Result<()> {
-    write_rgb8(path.with_extension("png"), &preview(colors, atlas.width, atlas.height))?;
-    write_layers(&path.with_extension("exr"), atlas, vector_channels(RGB, colors))
-}
-
-/// Writes a light to the files that [`light_files`] names.
-fn write_light(lobes: &[LightLobe], folder: &Path, suffix: &str) -> Result<()> {
-    let [npy, exr, png] = light_files(suffix).map(|name| folder.join(name));
-    write_lobes(npy, lobes, NpyConvention::Lobelia)?;
-    write_map_exr(&write_environment(&png, lobes)?, exr)
-}
-
 /// The files of a recovered light: its lobes, as a map, as a picture. Those of further groups of
-/// photographs have a suffix: `_2`, `_3` …
-pub(crate) fn light_files(suffix: &str) -> [String; 3] {
+/// photographs, from 2, have their number at the end.
+pub(crate) fn light_files(number: usize) -> [String; 3] {
+    let suffix = if number == 1 { String::new() } else { format!("_{number}") };
     [format!("light{suffix}.npy"), format!("environment{suffix}.exr"), format!("environment{suffix}.png")]
 }
 
@@ -281,4 +280,41 @@ fn write_exposures(world: &mut World, folder: &Path) -> Result<()> {
         let _ = writeln!(text, "{name},{red:.5},{green:.5},{blue:.5},{exposure:.5}");
     }
     write_bytes(&path, text.as_bytes())
+}
+
+/// Runs a `Shape` pass.
+///
+/// # Errors
+/// If the surface of the scene is not unknown, the masks have no hull, or a fit fails.
+pub(crate) fn run_shape(object: &mut Object, out: &Path, pass: &ShapePass) -> Result<()> {
+    let stopped = object.find_shape(pass)?;
+    write_views(object, out, &pass.name, pass.cameras)?;
+    if stopped { Err(Error::Interrupted) } else { Ok(()) }
+}
+
+/// Writes what a shape is at a step (`--debug-every`) as `normal_STEP.png`, `depth_STEP.png` and
+/// `mesh_STEP.glb` into the folder of its pass; without a camera only the mesh.
+pub(super) fn look(out: &Path, at: &Step, world: &mut World) -> Result<()> {
+    let camera = world.query::<&Camera>().iter(world).next().copied();
+    let Some(SdfField { surface, .. }) = world.get_resource() else { return Ok(()) };
+    let (folder, step) = (out.join(at.pass).join("debug"), at.step);
+    std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
+    let path = |kind: &str, ending: &str| folder.join(format!("{kind}_{step:06}.{ending}"));
+    if let Some(camera) = camera {
+        let hit = |pixel: usize| surface.intersect(&camera.pixel_ray(pixel as u32), 0.0);
+        let hits: Vec<_> = parallel::map((camera.width * camera.height) as usize, 1024, hit);
+        let picture = |color: &dyn Fn(&Hit) -> [u8; 3]| {
+            let pixel = |x: u32, y: u32| hits[(y * camera.width + x) as usize].as_ref().map_or([0; 3], color);
+            RgbImage::from_fn(camera.width, camera.height, |x, y| Rgb(pixel(x, y)))
+        };
+        // World normals, from [-1, 1] to [0, 255].
+        let byte = |x: f32| (127.5 * (x + 1.0)).round() as u8;
+        write_rgb8(path("normal", "png"), &picture(&|hit| hit.normal.to_array().map(byte)))?;
+        // Distance along the ray: the nearest point white, the farthest dark gray, nothing black.
+        let distances = || hits.iter().flatten().map(|hit| hit.distance);
+        let (near, far) = (distances().fold(f32::INFINITY, f32::min), distances().fold(0.0, f32::max));
+        let gray = |distance: f32| (255.0 - 200.0 * (distance - near) / (far - near).max(1e-12)) as u8;
+        write_rgb8(path("depth", "png"), &picture(&|hit| [gray(hit.distance); 3]))?;
+    }
+    write_glb(&path("mesh", "glb"), &extract_mesh(&surface.grid), None)
 }

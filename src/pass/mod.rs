@@ -3,7 +3,7 @@
 //! | pass | file | writes into `OUT/<name>/` |
 //! | --- | --- | --- |
 //! | `Fit` | `fit` | the recovered light (`light.npy`, `environment.exr`), `albedo.png`, `materials.ron`, `log.csv`; of several base materials `blend.exr`, `.png`, with one roughness per texel `roughness.exr`, `.png` |
-//! | `Shape` | `shape` | with `--debug-every N`, normals, depth and mesh every N steps |
+//! | `Shape` | `fit` | with `--debug-every N`, normals, depth and mesh every N steps |
 //! | both | `fit` | `cam_dict_norm.json` of optimized cameras, `exposures.csv` |
 //! | `Render`, `Edit`, `Relight` | `render` | an EXR with layers and a PNG per view, the animation of an orbit |
 //! | `Evaluate` | `evaluate` | a contact sheet, `views.csv`, and a folder per scored pass with small pictures of its views; scores go to `OUT/metrics.json` |
@@ -18,7 +18,6 @@ pub(crate) mod evaluate;
 pub(crate) mod fit;
 pub(crate) mod render;
 mod run;
-pub(crate) mod shape;
 pub mod view;
 mod view_report;
 

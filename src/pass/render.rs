@@ -38,12 +38,8 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &Pass, settings: &Rende
     let name = pass.name();
     let folder = out.join(name);
     let views = chosen_views(&mut object.pipeline.world, settings);
-    let film = match &settings.orbit {
-        Some(orbit) => Some((orbit, cameras(object, orbit)?)),
-        None => None,
-    };
-    let frames = film.as_ref().map_or(0, |(_, cameras)| cameras.len());
-    let bar = object.progress().bar(name, (views.len() + frames) as u64);
+    let cameras = settings.orbit.as_ref().map_or(Ok(Vec::new()), |orbit| cameras(object, orbit))?;
+    let bar = object.progress().bar(name, (views.len() + cameras.len()) as u64);
     for view in &views {
         check_interrupted()?;
         show_placement(&mut object.pipeline.world, view.entity);
@@ -64,9 +60,8 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &Pass, settings: &Rende
         written?;
         bar.inc(1);
     }
-    if let Some((orbit, cameras)) = &film {
-        let film = Film { orbit, cameras, light };
-        let rendered = render_film(object, out, pass, settings, &film, &*bar);
+    if let Some(orbit) = &settings.orbit {
+        let rendered = render_film(object, &folder.join(FRAMES), name, settings, &cameras, &light, &*bar);
         sweep_material(&mut object.pipeline.world, name, Vec::new());
         despawn_pool(&mut object.pipeline.world);
         let _writing = info_span!("film written").entered();
@@ -76,37 +71,34 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &Pass, settings: &Rende
             object.progress().note(&note);
         }
     }
-    bar.finish_and_clear();
-    let film = if frames > 0 { format!(", {frames} film frames") } else { String::new() };
+    drop(bar);
+    let film = match cameras.len() {
+        0 => String::new(),
+        frames => format!(", {frames} film frames"),
+    };
     object.print(&format!("{name}: {} views{film}", views.len()));
     Ok(())
 }
 
-/// A film: how it goes around the object, the cameras of its frames, and the light that turns.
-struct Film<'a> {
-    orbit: &'a Orbit,
-    cameras: &'a [Camera],
-    light: (LightChoice, bool),
-}
-
-/// Renders the frames of a film; a thread writes each as a PNG file while the next one is rendered.
-/// Returns the files.
+/// Renders the frames of a film, of these cameras and the light that turns, into a folder; a thread
+/// writes each as a PNG file while the next one is rendered. Returns the files.
 fn render_film(
     object: &mut Object,
-    out: &Path,
-    pass: &Pass,
+    folder: &Path,
+    pass: &str,
     settings: &RenderSettings,
-    Film { orbit, cameras, light }: &Film,
+    cameras: &[Camera],
+    light: &(LightChoice, bool),
     bar: &dyn Bar,
 ) -> Result<Vec<PathBuf>> {
-    let folder = out.join(pass.name()).join(FRAMES);
+    let Some(orbit) = &settings.orbit else { return Ok(Vec::new()) };
     let files: Vec<PathBuf> = (0..cameras.len()).map(|i| folder.join(format!("{i:06}.png"))).collect();
     let failed = |what: &str| Error::run("making a film", what);
     std::thread::scope(|scope| {
         let (sender, ready) = sync_channel::<(&PathBuf, RgbImage)>(1);
         let write = |(file, frame): (&PathBuf, RgbImage)| write_rgb8(file, &frame);
         let writer = scope.spawn(move || ready.into_iter().try_for_each(write));
-        let rendered = (0..).zip(*cameras).zip(&files).try_for_each(|((frame, camera), file)| {
+        let rendered = (0..).zip(cameras).zip(&files).try_for_each(|((frame, camera), file)| {
             check_interrupted()?;
             // Swaps in the light of the frame, and edits the material, if the film changes them.
             let time = Time::of(frame, orbit.frames);
@@ -117,9 +109,9 @@ fn render_film(
             }
             if let Some(sweep) = &orbit.material {
                 if frame == 0 {
-                    object.pipeline.swap(Phase::Compose, Slot::Material, show_edited(pass.name()));
+                    object.pipeline.swap(Phase::Compose, Slot::Material, show_edited(pass));
                 }
-                sweep_material(&mut object.pipeline.world, pass.name(), factors(sweep, time));
+                sweep_material(&mut object.pipeline.world, pass, factors(sweep, time));
             }
             let frame = film_frame(&mut object.pipeline, *camera, settings)?;
             bar.inc(1);

@@ -151,8 +151,7 @@ pub(super) fn outlier_share(view: &EvalView, predicted: &[glam::Vec3]) -> Option
     (counted > 0).then(|| outliers as f64 / counted as f64)
 }
 
-/// PSNR in dB of views of the first score, as it is scored, and the share of outliers of their
-/// predictions. By the view: names repeat, as those of training and test views.
+/// What views come to in the first score: PSNR in dB as it is scored, and the share of outliers.
 type Outcomes = HashMap<Entity, (f64, Option<f64>)>;
 
 /// Adds scored views that no fit has told of, in place of those that an earlier `Evaluate` has told

@@ -198,7 +198,6 @@ impl Reconstruction<'_> {
             adjust(&points)?;
             bar.inc(1);
         }
-        bar.finish_and_clear();
         Ok(())
     }
 

@@ -121,7 +121,6 @@ impl MaskSource {
             write_gray8(&to, &mask)?;
             bar.inc(1);
         }
-        bar.finish_and_clear();
         Ok(())
     }
 }

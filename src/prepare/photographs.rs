@@ -177,7 +177,6 @@ pub(super) fn check_pixels(photographs: &[PhotographFile], progress: &dyn Progre
         decoded.into_iter().collect::<Result<()>>()?;
         bar.inc(group.len() as u64);
     }
-    bar.finish_and_clear();
     Ok(())
 }
 

@@ -237,13 +237,8 @@ mod tests {
     }
 
     #[test]
-    fn data_of_which_no_shape_follows_is_refused() {
-        let data = data(3, [8, 6], false);
-        refused(data.path(), "neither masks nor a mesh");
-    }
-
-    #[test]
-    fn several_layouts_are_told_in_the_words_of_the_command_line() {
+    fn data_without_a_shape_and_several_layouts_are_refused() {
+        refused(data(3, [8, 6], false).path(), "neither masks nor a mesh");
         let data = data(3, [8, 6], true);
         fs::write(data.path().join("cameras.npz"), "").unwrap();
         let error = refused(data.path(), "several layouts: Colmap, Idr");

@@ -89,9 +89,7 @@ impl<'a> Work<'a> {
     ) -> Result<()> {
         let bar = self.progress.bar(name, length);
         let watch = |line: &str| done(line).iter().for_each(|at| bar.set_position(*at));
-        let ran = program.run(words, &self.log(name), watch);
-        bar.finish_and_clear();
-        ran
+        program.run(words, &self.log(name), watch)
     }
 
     /// An empty folder of work in progress, whatever an earlier run left there.

@@ -1,21 +1,6 @@
 //! `lobelia eval PREDICTION TRUTH`: scores two folders of images, or two images, against each
 //! other. Images of two folders are matched by their names without endings; those without a match
 //! are left out.
-//!
-//! ```
-//! use image::{Rgb, RgbImage};
-//! use lobelia::codec::png_file::write_rgb8;
-//! use lobelia::report::{compare::compare, scores::Scaling};
-//!
-//! let folder = tempfile::tempdir()?;
-//! let [prediction, truth] = ["prediction.png", "truth.png"].map(|name| folder.path().join(name));
-//! write_rgb8(&prediction, &RgbImage::from_pixel(12, 12, Rgb([100; 3])))?;
-//! write_rgb8(&truth, &RgbImage::from_pixel(12, 12, Rgb([90; 3])))?;
-//! let scores = compare(&prediction, &truth, Scaling::PerChannel)?.scores;
-//! // The factor of each channel takes one gray to the other.
-//! assert!(scores.psnr > 90.0 && scores.psnr_raw < 40.0);
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
 
 use crate::report::scores::{EvalView, PassScores, Scaling, aligned, score_views};
 use lobelia_geometry::view::metrics::erode;

@@ -251,13 +251,6 @@ mod tests {
     }
 
     #[test]
-    fn a_hole_shows_the_background() {
-        // The prediction misses the object: black in the mask and on black, white on white.
-        let found = scores([1, 1], (&[0.0], &[0.0]), (&[0.75], &[1.0]));
-        near(&found, [db(0.5625), db(0.0625), db(0.5625)]);
-    }
-
-    #[test]
     fn means_need_every_view() {
         let a = SrgbScores { psnr_mask: 10.0, ssim_white: 0.5, ..SrgbScores::default() };
         let b = SrgbScores { psnr_mask: 30.0, ssim_white: 1.0, ..SrgbScores::default() };

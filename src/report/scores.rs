@@ -555,26 +555,13 @@ mod tests {
         scores.write_json(&path).unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
         let json: serde_json::Value = serde_json::from_str(&text).unwrap();
-        for key in ["psnr", "psnr_raw", "ssim"] {
-            assert!(json["passes"]["relit"][key].is_f64(), "{text}");
-        }
         assert_eq!(json["passes"]["relit"]["scaling"], "per_channel");
         assert_eq!(json["albedo_psnr"], 35.5);
         assert!(json["normal_deg"].is_null() && json.as_object().unwrap().contains_key("peak_rss_mib"));
-        for key in ["psnr_mask", "psnr_white", "psnr_black", "ssim_white", "ssim_black"] {
-            assert!(json["passes"]["relit"]["srgb"][key].is_f64(), "{text}");
-            assert!(json["passes"]["relit"]["views"][0]["srgb"][key].is_f64(), "{text}");
-        }
         let read: Scores = serde_json::from_str(&text).unwrap();
         let (read, made) = (&read.passes["relit"], &scores.passes["relit"]);
         assert_eq!((read.scaling, read.views.len()), (Scaling::PerChannel, 1));
         assert!((read.psnr_raw - made.psnr_raw).abs() < 1e-9 && (read.scale[1] - made.scale[1]).abs() < 1e-9);
-    }
-
-    #[cfg(target_os = "linux")]
-    #[test]
-    fn peak_memory() {
-        assert!(peak_rss_mib().unwrap() > 1.0);
     }
 
     const TABLE: &str = "\

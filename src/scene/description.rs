@@ -313,6 +313,19 @@ pub enum LightSource {
 }
 
 impl LightSource {
+    /// A map as it is, with 128 lobes fitted to it.
+    pub fn map(path: PathBuf) -> Self {
+        Self::Map {
+            path,
+            scale: 1.0,
+            rotation_degrees: Vec3::ZERO,
+            lobes: number::<128>(),
+            convention: MapConvention::default(),
+            upper_hemisphere: false,
+            white: false,
+        }
+    }
+
     /// Its factor on the radiance and its turn in degrees.
     pub fn scale_and_turn(&self) -> (f32, Vec3) {
         match self {

@@ -133,7 +133,7 @@ fn parse(words: &SceneText) -> Result<(Scene, Option<Node>)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Light, Material, Pass, Roughness, Specular, Views};
+    use crate::scene::Pass;
 
     /// Says most of what can be said.
     const RICH: &str = r#"Scene(
@@ -197,27 +197,6 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_out_takes_its_default() {
-        let text = r#"(version: 1, surface: Sphere(), views: Cameras([(name: "a", eye: (0, 0, 3))]))"#;
-        let scene = load_text(text, &LoadOptions::default()).unwrap().scene;
-        assert_eq!((scene.seed, &scene.light, &scene.material), (0, &Light::default(), &Material::default()));
-        assert_eq!(scene.material.specular, Specular::default());
-        let Views::Cameras(cameras) = &scene.views else { panic!() };
-        assert_eq!((cameras[0].width, cameras[0].fov_degrees), (256, 38.0));
-    }
-
-    #[test]
-    fn sets_and_seed_reach_the_scene() {
-        let sets = [("material.specular.roughness", "Fixed(0.5)"), ("passes.fit.rates.light", "0")];
-        let sets = sets.map(|(path, value)| (path.to_owned(), value.to_owned())).to_vec();
-        let scene =
-            load_text(RICH, &LoadOptions { sets, seed: Some(9), ..LoadOptions::default() }).unwrap().scene;
-        assert_eq!((scene.seed, scene.material.specular.roughness), (9, Roughness::Fixed(0.5)));
-        let Pass::Fit(fit) = &scene.passes[0] else { panic!() };
-        assert_eq!((fit.rates.light, fit.rates.albedo, fit.steps), (0.0, 0.03, 10));
-    }
-
-    #[test]
     fn paths_are_resolved_against_data_and_the_scene_file() {
         let folder = tempfile::tempdir().unwrap();
         let data = folder.path().join("data");
@@ -235,12 +214,6 @@ mod tests {
         let loaded = load(&path, &LoadOptions { without_data: true, ..LoadOptions::default() }).unwrap();
         assert_eq!(loaded.files, [folder.path().join("a.png")]);
         assert_eq!(loaded.unseen, [PathBuf::from("$DATA/mesh.glb"), PathBuf::from("$DATA")]);
-    }
-
-    #[test]
-    fn a_byte_order_mark_is_no_part_of_the_text() {
-        let scene = load_text(&format!("\u{feff}{RICH}"), &LoadOptions::default()).unwrap();
-        assert_eq!(scene.text, RICH);
     }
 
     #[test]

@@ -1,25 +1,5 @@
 //! From a scene to a world: the surface, the views, the light and the material as resources and
 //! entities. What is unknown begins with the values that a fit starts from.
-//!
-//! ```
-//! use lobelia::{ecs::*, prelude::*};
-//! use lobelia::scene::{LoadOptions, load};
-//! use lobelia::spawn::{SurfaceUse, make_surface, spawn};
-//!
-//! let folder = tempfile::tempdir()?;
-//! let path = folder.path().join("scene.ron");
-//! let text = r#"(version: 1, surface: Box(texture_size: 16),
-//!     views: Cameras([(name: "front", eye: (0, 0, 3))]))"#;
-//! std::fs::write(&path, text)?;
-//! let scene = load(&path, &LoadOptions::default())?.scene;
-//! let surface = Arc::new(make_surface(&scene.surface, &[], SurfaceUse::Lasting)?.0);
-//! let mut pipeline = Pipeline::new();
-//! spawn(&mut pipeline, &scene, &surface, Vec::new(), None, &[])?;
-//! let texels = read_column::<TexelIndex, Diffuse>(&mut pipeline.world)?;
-//! // An unknown albedo begins gray.
-//! assert_eq!(texels, [Diffuse::of_albedo(Vec3::splat(0.4)); 16 * 16]);
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
 
 pub mod light;
 

@@ -5,10 +5,10 @@ use crate::scene::{Dataset, Pass, Scene, Surface, ViewChoice, Views};
 use crate::survey::cameras::{BACKGROUND_SIDE, BACKGROUNDS, Background};
 use crate::{report::sheet::choose_evenly, survey::Survey, survey::examine};
 use glam::Vec3;
-use lobelia_geometry::parallel;
 use lobelia_geometry::view::look::{MaskOrigin, SmallMask, ViewLook};
 use lobelia_geometry::view::{Photograph, Split, ViewPriors, ViewRecord};
 use lobelia_geometry::{Result, mesh::primitive::box_mesh, mesh::primitive::sphere_mesh};
+use lobelia_geometry::{error::stop::check_interrupted, parallel};
 use lobelia_io::codec::gltf::import::read_mesh;
 use lobelia_io::codec::image::{Gamma, Orientation, read_image};
 use lobelia_io::dataset::{
@@ -65,21 +65,29 @@ impl<'a> OpenScene<'a> {
         Ok(Some(open))
     }
 
-    /// Reads a view.
+    /// Reads the views, looks at each, and has `keep` take from it what is not needed any more. Also
+    /// returns notes for the user.
     ///
     /// # Errors
-    /// Errors of [`PlannedView::load`].
-    pub fn load(&self, view: &PlannedView) -> Result<LoadedView> {
-        let mut loaded = view.load()?;
-        let focal_scale = self.spec.focal_scale;
-        loaded.record.camera.focal = loaded.record.camera.focal.map(|focal| focal * focal_scale);
-        Ok(loaded)
-    }
-
-    /// Looks at a view that was read.
-    pub fn look(&self, view: &PlannedView, loaded: &LoadedView) -> ViewLook {
-        let source = if view.plan.mask.is_some() { MaskOrigin::File } else { MaskOrigin::Alpha };
-        ViewLook::new(&loaded.record, source)
+    /// The first, in the order of the views, of [`PlannedView::load`].
+    pub fn read(
+        &self,
+        keep: impl Fn(&mut ViewRecord) + Sync,
+    ) -> Result<(Vec<ViewRecord>, Vec<ViewLook>, Vec<String>)> {
+        let read: Vec<Result<(LoadedView, ViewLook)>> = parallel::map_slice(&self.views, 1, |view| {
+            check_interrupted()?;
+            let mut loaded = view.load()?;
+            let camera = &mut loaded.record.camera;
+            camera.focal = camera.focal.map(|focal| focal * self.spec.focal_scale);
+            let source = if view.plan.mask.is_some() { MaskOrigin::File } else { MaskOrigin::Alpha };
+            let look = ViewLook::new(&loaded.record, source);
+            keep(&mut loaded.record);
+            Ok((loaded, look))
+        });
+        let (loaded, looks): (Vec<_>, Vec<_>) =
+            read.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
+        let notes = self.notes.iter().cloned().chain(load_notes(&loaded)).collect();
+        Ok((loaded.into_iter().map(|view| view.record).collect(), looks, notes))
     }
 
     /// The survey of what was looked at, one look for each view.
@@ -110,21 +118,14 @@ impl<'a> OpenScene<'a> {
 pub fn survey(scene: &Scene) -> Result<Option<(Survey, Vec<ViewRecord>)>> {
     let Some(open) = OpenScene::new(scene)? else { return Ok(None) };
     let needs_masks = matches!(scene.surface, Surface::Unknown { .. });
-    let look_at = |view: &PlannedView| {
-        let mut loaded = open.load(view)?;
-        let look = open.look(view, &loaded);
-        let ViewRecord { photograph, mask, priors, camera, .. } = &mut loaded.record;
+    let (views, looks, notes) = open.read(|ViewRecord { photograph, mask, priors, camera, .. }| {
         *photograph = photograph.take().map(|_| Photograph::without_pixels(camera.width, camera.height));
         *mask = mask.take().filter(|_| needs_masks);
         *priors = ViewPriors::default();
-        Ok((look, loaded))
-    };
-    let looked: Vec<Result<(ViewLook, LoadedView)>> = parallel::map_slice(&open.views, 1, look_at);
-    let looked = looked.into_iter().collect::<Result<Vec<_>>>()?;
-    let (looks, loaded): (Vec<ViewLook>, Vec<LoadedView>) = looked.into_iter().unzip();
+    })?;
     let mut survey = open.examine(looks)?;
-    survey.notes.splice(0..0, open.notes.into_iter().chain(load_notes(&loaded)));
-    Ok(Some((survey, loaded.into_iter().map(|view| view.record).collect())))
+    survey.notes.splice(0..0, notes);
+    Ok(Some((survey, views)))
 }
 
 /// Backgrounds of some photographs that have masks of their own and no alpha.

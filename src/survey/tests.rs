@@ -1,6 +1,6 @@
 //! A small object photographed from all sides, with one fault at a time.
 
-use crate::scene::{FitPass, LoadOptions, Pass, Scene, ShapePass, load};
+use crate::scene::{FitPass, LoadOptions, Pass, Scene, ShapePass, load::read};
 use crate::survey::cameras::{Arrangement, Background, check_meeting, sameness};
 use crate::survey::estimate::{Estimate, FIT_PAIR_NANOS, duration, estimate, memory};
 use crate::survey::{MaskOrigin, Severity, Survey, ViewLook, examine, named, table};
@@ -9,7 +9,7 @@ use lobelia_geometry::mesh::primitive::{box_mesh, sphere_mesh};
 use lobelia_geometry::view::{Camera, Image, Mask, Photograph, Placement, Split, StoredMask, ViewRecord};
 use lobelia_geometry::{mesh::bvh::TriangleBvh, mesh::triangles::Mesh};
 use lobelia_sg::fibonacci::fibonacci_axes;
-use std::sync::OnceLock;
+use std::{path::Path, sync::OnceLock};
 
 /// Width and height of the photographs.
 const SIDE: u32 = 96;
@@ -332,10 +332,10 @@ fn a_turntable_is_a_ring_before_the_same_background() {
     }
 }
 
-/// Views of a ball of radius 1 around `center`, times `scale`.
-fn ball(center: Vec3, scale: f32, count: usize) -> Vec<ViewRecord> {
+/// Views of a ball of radius 1 around `center`.
+fn ball(center: Vec3, count: usize) -> Vec<ViewRecord> {
     let view = |(i, axis): (usize, Vec3)| {
-        let camera = looking((center + 4.0 * axis) * scale, center * scale);
+        let camera = looking(center + 4.0 * axis, center);
         ViewRecord {
             mask: Some(disk([48.0, 48.0], 33.0)),
             ..ViewRecord::of_camera(format!("v{i}"), Split::Train, camera)
@@ -361,17 +361,8 @@ fn refused(views: &[ViewRecord], words: &[&str]) {
 }
 
 #[test]
-fn sound_views_pass_at_any_place_and_scale() {
-    for (center, scale) in
-        [(Vec3::ZERO, 1.0), (Vec3::new(50.0, -20.0, 30.0), 1000.0), (Vec3::splat(40.0), 1e-3)]
-    {
-        check_meeting(&looks(&ball(center, scale, 20))).unwrap();
-    }
-}
-
-#[test]
 fn masks_that_say_nothing_are_named() {
-    let mut views = ball(Vec3::ZERO, 1.0, 12);
+    let mut views = ball(Vec3::ZERO, 12);
     cover(&mut views[5..6], |_, _, _| 1.0);
     refused(&views, &["`v5`", "all white", "select"]);
     refused(&views[..2], &["at least three views", "there are 2"]);
@@ -381,7 +372,7 @@ fn masks_that_say_nothing_are_named() {
 
 #[test]
 fn an_object_cut_by_every_frame_is_refused() {
-    let mut views = ball(Vec3::ZERO, 1.0, 12);
+    let mut views = ball(Vec3::ZERO, 12);
     views.iter_mut().for_each(|view| view.mask = Some(disk([48.0, 75.0], 33.0)));
     refused(&views, &["every frame cuts", "`v0`", "move the camera back"]);
     views[3].mask = Some(disk([48.0, 48.0], 33.0));
@@ -390,16 +381,16 @@ fn an_object_cut_by_every_frame_is_refused() {
 
 #[test]
 fn cameras_that_do_not_see_one_point_are_told() {
-    let mut inside = ball(Vec3::new(5.0, 0.0, 0.0), 1.0, 24);
+    let mut inside = ball(Vec3::new(5.0, 0.0, 0.0), 24);
     inside[7].camera.world_from_camera.translation = Vec3::new(5.3, 0.1, 0.0).into();
     refused(&inside, &["camera of view `v7` is inside the object", "select"]);
-    let mut views = ball(Vec3::ZERO, 1.0, 24);
+    let mut views = ball(Vec3::ZERO, 24);
     views[9].mask = Some(disk([12.0, 12.0], 7.0));
     refused(&views, &["1 of 24 views", "view `v9` is farthest off"]);
-    let mut many = ball(Vec3::ZERO, 1.0, 60);
+    let mut many = ball(Vec3::ZERO, 60);
     many[9].mask = Some(disk([12.0, 12.0], 7.0));
     check_meeting(&looks(&many)).unwrap();
-    let mut views = ball(Vec3::ZERO, 1.0, 24);
+    let mut views = ball(Vec3::ZERO, 24);
     for view in &mut views {
         let rotation = &mut view.camera.world_from_camera.matrix3;
         (rotation.y_axis, rotation.z_axis) = (-rotation.y_axis, -rotation.z_axis);
@@ -522,12 +513,7 @@ fn a_turned_mesh_and_another_unit_or_place_are_named() {
 fn without_a_mistake_that_explains_it_there_is_no_recipe() {
     let rod = box_mesh(Vec3::new(0.0, -0.5, 0.0), Vec3::new(0.02, 0.02, 1.5)).unwrap();
     let survey = surveyed(&good(), Some(&rod));
-    first_is(&survey, "mesh-misses-masks", "the mesh does not cover the masks");
-    first_is(
-        &survey,
-        "mesh-misses-masks",
-        "None of the usual mistakes explains it (tried: camera axes of OpenGL",
-    );
+    first_is(&survey, "mesh-misses-masks", "None of the usual mistakes explains it (tried: camera axes of");
     // A mesh that is only a little off is no reason to stop.
     let survey = surveyed(&good(), Some(&moved(|p| p * Vec3::new(1.0, 1.0, 1.25))));
     assert!(survey.findings_of(Severity::Error).next().is_none(), "{:?}", survey.findings);
@@ -576,14 +562,11 @@ fn thin_parts_are_no_error() {
 // Text, JSON and the estimate.
 
 fn scene(passes: &str) -> Scene {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.ron");
     let text = format!(
         "Scene(version: 1, surface: Sphere(texture_size: 256), light: Unknown(lobes: 64), \
          views: Dataset(path: \".\"), passes: [{passes}])"
     );
-    std::fs::write(&path, text).unwrap();
-    load(&path, &LoadOptions::default()).unwrap().scene
+    read(text, Path::new("scene.ron"), &LoadOptions::default()).unwrap().scene
 }
 
 #[test]
@@ -607,20 +590,6 @@ fn the_table_says_what_there_is() {
     let views: Vec<String> = (0..7).map(|i| format!("v{i}")).collect();
     assert_eq!(named(&views[..1]), "view `v0`");
     assert_eq!(named(&views), "views `v0`, `v1`, `v2`, `v3`, `v4` and 2 more");
-}
-
-#[test]
-fn json_has_findings_and_views_without_pixels() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("survey.json");
-    changed(4, |_| Vec3::ZERO).write_json(&path, &Estimate::default()).unwrap();
-    let value: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
-    let finding = &value["findings"][0];
-    assert_eq!((&finding["name"], &finding["views"][0]), (&"black".into(), &"v4".into()));
-    let view = &value["views"][4];
-    assert_eq!(view["light"]["median"], 0.0);
-    assert!(view["mask"]["small"].is_null() && view["overlap"].as_f64() > Some(0.9));
-    assert!(value["cameras"]["distance"][0].as_f64() > Some(2.0) && value["estimate"]["bytes"].is_number());
 }
 
 #[test]

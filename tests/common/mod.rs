@@ -501,8 +501,6 @@ pub fn is_temporary(file: &str) -> bool {
 pub struct AtStep<F>(pub &'static str, pub u64, pub F);
 
 impl<F: Fn() + Clone + Send + Sync + 'static> Progress for AtStep<F> {
-    fn note(&self, _: &str) {}
-    fn print(&self, _: &str) {}
     fn bar(&self, title: &str, _: u64) -> Box<dyn Bar> {
         if title == self.0 { Box::new(Fuse(self.clone(), AtomicU64::new(0))) } else { Box::new(Silent) }
     }
@@ -521,9 +519,6 @@ impl<F: Fn() + Send + Sync> Bar for Fuse<F> {
             (self.0.2)();
         }
     }
-
-    fn set_message(&self, _: String) {}
-    fn finish_and_clear(&self) {}
 }
 
 /// How long a test waits for something that a run does.

@@ -199,9 +199,8 @@ fn fit(args: &FitArgs) -> Result<()> {
             bar.set_position((100.0 * told.done) as u64);
             bar.set_message(format!("error {:.5}", told.mse));
         };
-        let report = fit_map_with(&map, usize::from(count), &options, &mut tell, &is_stopping);
-        bar.finish_and_clear();
-        let report = report?;
+        let report = fit_map_with(&map, usize::from(count), &options, &mut tell, &is_stopping)?;
+        drop(bar);
         let secs = started.elapsed().as_secs_f64();
         // One line for each sun that was fitted apart, with what its lobe does to the peak.
         for sun in report.suns.iter().filter(|_| count == args.lobes[0]) {

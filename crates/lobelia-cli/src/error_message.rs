@@ -139,31 +139,6 @@ mod tests {
     }
 
     #[test]
-    fn several_faults_have_one_heading_and_one_note() {
-        let faults = vec![fault("version", 20..21), fault("seed", 33..35)];
-        let text = drawn(&diagnostic(faults), Renderer::plain());
-        assert!(text.starts_with("error: 2 problems in a.ron\n"), "{text}");
-        assert!(text.contains("a.ron:2:14\n") && text.contains("a.ron:3:11\n"), "{text}");
-        assert_eq!(text.matches("As edited.").count(), 1, "{text}");
-    }
-
-    #[test]
-    fn long_lines_are_named_and_not_drawn() {
-        let line = format!("Scene(\n    /*{}*/ seed: -3)", "ü".repeat(65_536));
-        let at = line.find("-3").unwrap();
-        let labels = vec![Label { at: at..at + 2, text: "expected a whole number".into() }];
-        let fault = Fault { message: "seed is wrong".into(), labels, help: String::new() };
-        let long = SceneDiagnostic { text: line, ..diagnostic(vec![fault]) };
-        for renderer in [Renderer::plain(), Renderer::styled()] {
-            let text = drawn(&long, renderer);
-            for words in ["seed is wrong", "a.ron:2:65552", "expected a whole number", "As edited."] {
-                assert!(text.contains(words), "no {words:?} in\n{text}");
-            }
-            assert!(text.len() < 1000, "{}", text.len());
-        }
-    }
-
-    #[test]
     fn sentences_are_wrapped_between_words() {
         assert_eq!(wrapped("one two\nthree"), "one two\nthree");
         let long = wrapped(&"twelve chars ".repeat(30));

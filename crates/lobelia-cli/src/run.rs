@@ -100,11 +100,10 @@ fn carry_out(args: &RunArgs, shown: Arc<dyn Progress>) -> Result<()> {
         debug_every: args.debug_every,
         memory: args.memory.or_else(usual_budget),
         arguments: std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect(),
-        checkpoint_every: None,
         resume: args.resume,
         device: (args.device != "cpu").then(|| ShadingDevice::open(&args.device)).transpose()?,
         live: args.live,
-        own: Vec::new(),
+        ..RunOptions::default()
     };
     stop_on_signals()?;
     let profiler = args.profile.map(Profiler::start).transpose()?;

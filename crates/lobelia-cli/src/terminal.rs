@@ -103,8 +103,10 @@ impl Bar for TerminalBar {
     fn set_message(&self, message: String) {
         self.bar.set_message(message);
     }
+}
 
-    fn finish_and_clear(&self) {
+impl Drop for TerminalBar {
+    fn drop(&mut self) {
         self.bar.finish_and_clear();
     }
 }
@@ -259,8 +261,6 @@ impl Bar for JsonBar {
             at.message = message;
         });
     }
-
-    fn finish_and_clear(&self) {}
 }
 
 impl Drop for JsonBar {

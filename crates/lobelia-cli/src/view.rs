@@ -38,9 +38,6 @@ pub struct ViewArgs {
     threads: ThreadArgs,
 }
 
-/// Lobes that a map is fitted with, as in a scene file.
-const MAP_LOBES: u32 = 128;
-
 /// Mark in the head of every page.
 const SIGNATURE: &str = r#"name="generator" content="Lobelia""#;
 
@@ -90,15 +87,7 @@ fn light(path: &Path) -> (String, LightSource) {
     let source = match ending.to_str() {
         Some("ron") => LightSource::Ron { path, scale, rotation_degrees },
         Some("npy") => LightSource::Npy { path, convention: Default::default(), scale, rotation_degrees },
-        _ => LightSource::Map {
-            path,
-            scale,
-            rotation_degrees,
-            lobes: MAP_LOBES,
-            convention: Default::default(),
-            upper_hemisphere: false,
-            white: false,
-        },
+        _ => LightSource::map(path),
     };
     (name, source)
 }

@@ -186,7 +186,7 @@ impl Machine {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{object::progress::Silent, scene::LoadOptions, scene::load};
+    use crate::{object::progress::Silent, scene::LoadOptions, scene::load::read};
     use std::fs::{create_dir_all, write};
 
     #[test]
@@ -209,10 +209,7 @@ mod tests {
                  material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0.2, 0.2, 0.2), roughness: Fixed(0.3))), \
                  passes: [Render(name: \"novel\")])"
             );
-            let folder = tempfile::tempdir().unwrap();
-            let path = folder.path().join("scene.ron");
-            std::fs::write(&path, text).unwrap();
-            load(&path, &LoadOptions::default()).unwrap().scene
+            read(text, Path::new("scene.ron"), &LoadOptions::default()).unwrap().scene
         };
         let refused = |scene: &Scene, budget: u64| {
             let looks = crate::pass::looks(scene, None).unwrap();

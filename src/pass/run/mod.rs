@@ -20,12 +20,13 @@ mod tests;
 use crate::object::Object;
 use crate::object::photograph::imagine;
 use crate::object::progress::{Progress, RecordedMessages, Step};
-use crate::pass::{evaluate, fit, render, shape, view};
+use crate::pass::{evaluate, fit, render, view};
 use crate::scene::{EvaluatePass, LightSource, Pass, Scene, ViewPass, Views, unknown_parts};
 use crate::spawn::{SurfaceUse, load_light, make_surface};
 use crate::survey::{Severity, Survey, open::OpenScene};
 use crate::{
-    capture::bare_views, capture::read_views, report::scores::peak_rss_mib, scene::load::LoadedScene,
+    capture::bare_views, capture::read_views, report::RunState, report::scores::peak_rss_mib,
+    scene::load::LoadedScene,
 };
 use bevy_ecs::prelude::World;
 use lobelia_geometry::error::stop::{
@@ -37,7 +38,7 @@ use lobelia_io::codec::file::{FolderLock, check_writable, clear_scratch};
 use lobelia_solve::{fit::ObjectTurned, fit::guard::StepGuard, shade::device::ShadingDevice};
 use lobelia_world::checkpoint::{Checkpoints, keep_pass};
 use preflight::Watched;
-use record::{Claim, RunRecord, RunState};
+use record::{Claim, RunRecord};
 use resume::RunStart;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::{borrow::Cow, path::Path, path::PathBuf, time::Duration};
@@ -108,7 +109,7 @@ fn run_in_folder(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn P
     let show = move |at: &Step, world: &mut World| {
         locked(&live).step(&folder, at, world);
         let is_shown = every.is_some_and(|every| at.fit.step.is_multiple_of(every));
-        if is_shown { shape::look(&folder, at, world) } else { Ok(()) }
+        if is_shown { fit::look(&folder, at, world) } else { Ok(()) }
     };
     let told = Arc::new(RecordedMessages::new(progress).watching(Box::new(show)));
     let progress: &dyn Progress = &*told;
@@ -146,10 +147,8 @@ fn run_in_folder(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn P
     let scene = memory::within(&loaded.scene, &looks, options.memory, progress)?;
     let is_draft = matches!(scene.passes.first(), Some(Pass::Shape(_)));
     let use_of = if is_draft { SurfaceUse::UntilShape } else { SurfaceUse::Lasting };
-    let scene = scene.into_owned();
-    let (surface, notes) = make_surface(&scene.surface, &views, use_of)?;
-    notes.iter().for_each(|note| progress.note(note));
-    let mut object = Object::of_scene(scene, surface, views, told.clone(), true)?;
+    let made = make_surface(&scene.surface, &views, use_of)?;
+    let mut object = Object::of_scene(scene.into_owned(), made, views, told.clone(), true)?;
     options.device.clone().into_iter().for_each(|device| object.pipeline.world.insert_resource(device));
     preflight::check_passes(&mut object)?;
     if let Some(survey) = survey {
@@ -346,7 +345,7 @@ fn run_pass(object: &mut Object, run: &Run, pass: Work) -> Result<()> {
     };
     match pass {
         Pass::Fit(pass) => fit::run(object, out, pass),
-        Pass::Shape(pass) => shape::run(object, out, pass),
+        Pass::Shape(pass) => fit::run_shape(object, out, pass),
         Pass::Render(of) | Pass::Edit(of) | Pass::Relight(of) => render::run(object, out, pass, &of.render),
         Pass::Evaluate(pass) => {
             // A truth that has changed is told of, instead of scores that are half of one and half
@@ -413,9 +412,8 @@ pub fn write_view(
         }
     };
     let out = path.parent().unwrap_or(Path::new("")).to_owned();
-    let (surface, notes) = make_surface(&scene.surface, &views, SurfaceUse::Lasting)?;
-    notes.iter().for_each(|note| progress.note(note));
-    let mut object = Object::of_scene(scene, surface, views, progress, false)?;
+    let made = make_surface(&scene.surface, &views, SurfaceUse::Lasting)?;
+    let mut object = Object::of_scene(scene, made, views, progress, false)?;
     view::write_page(&mut object, &out, pass, named, path)
 }
 
@@ -430,9 +428,8 @@ pub fn rehearse(scene: &Scene, mut views: Vec<ViewRecord>, progress: Arc<dyn Pro
     if let Views::Cameras(specs) = &scene.views {
         views = bare_views(specs)?;
     }
-    let (surface, notes) = make_surface(&scene.surface, &views, SurfaceUse::Checks)?;
-    notes.iter().for_each(|note| progress.note(note));
-    let mut object = Object::of_scene(scene.clone(), surface, views, progress, false)?;
+    let made = make_surface(&scene.surface, &views, SurfaceUse::Checks)?;
+    let mut object = Object::of_scene(scene.clone(), made, views, progress, false)?;
     preflight::check_passes(&mut object)
 }
 

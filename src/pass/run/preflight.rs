@@ -5,8 +5,9 @@
 use crate::object::{Object, export, photograph::ring, show::apply_edits, show::edits_of_nothing};
 use crate::pass::{
     evaluate::PARTS, evaluate::read_fitting, fit::TRUE_ENVIRONMENT, fit::light_files, render::FILM_FILES,
-    render::chosen_stems, render::chosen_views, run::record::PassRecord, view::PAGE, view_report::VIEWS,
+    render::chosen_stems, render::chosen_views, view::PAGE, view_report::VIEWS,
 };
+use crate::report::PassRecord;
 use crate::scene::{
     EvaluatePass, Gloss, LayerTruth, LightSource, Pass, PlacementLight, RenderSettings, Scene, Truth,
     ViewChoice, Views, load::LoadedScene,
@@ -62,8 +63,7 @@ pub(super) fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Opti
                 if matches!(scene.views, Views::Photographed(_)) {
                     names.push(TRUE_ENVIRONMENT.to_owned());
                 }
-                let others = (2..scene.views.other_lights().len() + 2).map(|number| format!("_{number}"));
-                names.extend(others.chain([String::new()]).flat_map(|suffix| light_files(&suffix)));
+                names.extend((1..scene.views.other_lights().len() + 2).flat_map(light_files));
                 names.extend(of_views(fit.cameras, fit.exposure));
             }
             Pass::Shape(shape) => {

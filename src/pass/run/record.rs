@@ -3,7 +3,7 @@
 
 use crate::pass::run::preflight::{RUN, check_outputs, inputs, outputs};
 use crate::pass::run::{METRICS, OwnPass, RunOptions, memory::Machine, resume, resume::RunStart};
-use crate::report::{html::REPORT, scores::peak_rss_mib};
+use crate::report::{PassRecord, RunState, html::REPORT, scores::peak_rss_mib};
 use crate::{scene::load::LoadedScene, survey::open::OpenScene};
 use lobelia_geometry::error::{Error, Result};
 use lobelia_io::codec::file::{
@@ -19,62 +19,6 @@ const PROGRAM: &str = "lobelia";
 const OF_RUN: [&str; 4] = [METRICS, REPORT, PROFILES[0], PROFILES[1]];
 /// Those of `--profile`, which are written after the last manifest.
 const PROFILES: [&str; 2] = ["profile.txt", "trace.json"];
-
-/// How far something is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub(crate) enum RunState {
-    Waiting,
-    /// It has begun; in a folder that no process holds: it was killed.
-    Running,
-    /// It is done, and all its files are whole.
-    Finished,
-    Failed,
-    /// It was left out, because it needs a pass that failed.
-    Skipped,
-    /// It was stopped, by Ctrl-C, SIGTERM or SIGHUP; what was found until then is whole.
-    Interrupted,
-}
-
-impl RunState {
-    /// The state of what ended so.
-    pub fn of(ended: &Result<()>) -> Self {
-        match ended {
-            Ok(()) => Self::Finished,
-            Err(Error::Interrupted) => Self::Interrupted,
-            Err(_) => Self::Failed,
-        }
-    }
-
-    pub fn word(self) -> String {
-        format!("{self:?}").to_lowercase()
-    }
-}
-
-/// A pass in a manifest.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct PassRecord {
-    pub name: String,
-    pub state: RunState,
-    /// Time that it took, in seconds; `None` until it has ended.
-    pub secs: Option<f64>,
-    /// Largest resident memory of the process when it had ended, in MiB.
-    pub peak_rss_mib: Option<f64>,
-    /// Its lines of result and its notes.
-    #[serde(default)]
-    pub said: Vec<String>,
-    /// Paths below the output folder, with `/` between their parts; one that ends with `/` is a
-    /// folder of which all files are the pass's. Before it is finished: the files that it may
-    /// write.
-    pub files: Vec<String>,
-}
-
-impl PassRecord {
-    pub fn waiting(name: &str, files: Vec<String>) -> Self {
-        let (name, state) = (name.to_owned(), RunState::Waiting);
-        Self { name, state, secs: None, peak_rss_mib: None, said: Vec::new(), files }
-    }
-}
 
 /// The manifest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -424,31 +368,18 @@ impl RunRecord {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{LoadOptions, load};
+    use crate::scene::{LoadOptions, load::read};
 
     fn plan(files: &[&str]) -> Vec<PassRecord> {
         vec![PassRecord::waiting("novel", files.iter().map(|file| format!("novel/{file}")).collect())]
     }
 
-    const SCENE: &str = r#"Scene(
-    version: 1,
-    surface: Sphere(),
-    views: Cameras([(name: "a", eye: (0, 0, 3), width: 4, height: 4)]),
-    seed: 7,
-)"#;
-
-    fn scene() -> LoadedScene {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("scene.ron");
-        fs::write(&path, SCENE).unwrap();
-        load(&path, &LoadOptions::default()).unwrap()
-    }
+    const SCENE: &str = r#"(version: 1, surface: Sphere(), views: Cameras([(name: "a", eye: (0, 0, 3))]))"#;
 
     fn begin(out: &Path, files: &[&str]) -> RunRecord {
-        Claim::of_plan(out, plan(files))
-            .unwrap()
-            .begin(&scene(), &[], RunStart::default(), Vec::new(), 0)
-            .unwrap()
+        let scene = read(SCENE.to_owned(), Path::new("scene.ron"), &LoadOptions::default()).unwrap();
+        let claim = Claim::of_plan(out, plan(files)).unwrap();
+        claim.begin(&scene, &[], RunStart::default(), Vec::new(), 0).unwrap()
     }
 
     /// Manifests come with folders from anywhere.
@@ -487,31 +418,17 @@ mod tests {
     }
 
     #[test]
-    fn states_and_files_are_those_of_the_run() {
+    fn files_of_a_killed_run_are_known_to_the_next() {
         let root = tempfile::tempdir().unwrap();
         let out = root.path();
         let mut record = begin(out, &["a.png", "never.png", "debug/"]);
         record.pass(0, RunState::Running, Vec::new()).unwrap();
         write_bytes(&out.join("novel/a.png"), b"x").unwrap();
         write_bytes(&out.join("novel/debug/1.png"), b"x").unwrap();
-        // Killed here: the next run knows the files.
         drop(record);
         assert_eq!(Record::read(out).unwrap().state, RunState::Running);
         assert!(check_used(out, false).unwrap_err().to_string().contains("did not finish"));
-        let mut record = begin(out, &["a.png"]);
+        begin(out, &["a.png"]);
         assert!(!out.join("novel").exists(), "old results are gone before new ones come");
-        write_bytes(&out.join("novel/a.png"), b"x").unwrap();
-        record.pass(0, RunState::Finished, vec!["1 view".into()]).unwrap();
-        record.end(Err(Error::run("late", "it failed"))).unwrap_err();
-        drop(record);
-        let read = Record::read(out).unwrap();
-        assert_eq!((read.state, read.passes[0].state), (RunState::Failed, RunState::Finished));
-        assert_eq!(
-            (read.error.as_deref(), read.passes[0].files.as_slice()),
-            (Some("late: it failed"), &["novel/a.png".to_owned()][..])
-        );
-        assert_eq!((read.seed, read.passes[0].said.len()), (Some(7), 1));
-        assert!(read.scene_text.starts_with("Scene(") && read.machine.is_some());
-        assert!(read.passes[0].secs.is_some_and(|secs| (0.0..60.0).contains(&secs)));
     }
 }

@@ -2,15 +2,14 @@
 //! made of the run's files alone, so that the report of a run that goes on, of one that ended, and
 //! of several side by side are made in the same way.
 
-use crate::object::fit::{COLUMNS, LOG_EVERY, log_line};
-use crate::object::progress::Step;
+use crate::object::{fit::StepLog, progress::Step};
 use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
-use crate::pass::run::record::{PassRecord, Record, RunState};
+use crate::pass::run::record::Record;
 use crate::pass::{evaluate::PARTS, run::METRICS, view::embedded, view_report::csv_entry};
 use crate::report::html::{
-    FitFinding, FitLog, PassReport, PassViews, REPORT, ReportPicture, RunReport, ViewReport, html,
+    FitFinding, FitLog, PassViews, REPORT, ReportPicture, RunReport, ViewReport, html,
 };
-use crate::report::{scores::Scores, scores::aligned};
+use crate::report::{PassRecord, RunState, scores::Scores, scores::aligned};
 use crate::{pass::run::preflight::RUN, report::sheet::choose_evenly, scene::fields};
 use bevy_ecs::prelude::{Entity, World};
 use image::{Rgb, RgbImage, RgbaImage};
@@ -54,45 +53,30 @@ const PICTURES: [(&str, &str); 5] = [
 #[derive(Default)]
 pub(crate) struct Reporter {
     pictures: Pictures,
-    live: Option<Live>,
-}
-
-/// What the report of a run that is watched has besides its files.
-struct Live {
-    /// The fit at work, and its log so far.
-    pass: String,
-    log: String,
-    /// The time of the last page.
-    written: Instant,
+    /// The time of the last page, if the run is watched.
+    written: Option<Instant>,
 }
 
 impl Reporter {
     /// A reporter; if the run is watched (`live`), its pages load themselves again until it ends.
     pub fn new(live: bool) -> Self {
-        let begin = || Live { pass: String::new(), log: String::new(), written: Instant::now() };
-        Self { live: live.then(begin), ..Self::default() }
+        Self { written: live.then(Instant::now), ..Self::default() }
     }
 
-    /// Takes in a step of a fit or shape, and now and then writes a page with its curves and worst
-    /// views, if the run is watched.
+    /// Now and then writes a page with the curves and worst views of the fit or shape at work, if
+    /// the run is watched.
     pub fn step(&mut self, out: &Path, at: &Step, world: &mut World) {
-        let Some(Live { pass: of, log, written }) = &mut self.live else { return };
-        if of != at.pass {
-            (*of, *log) = (at.pass.to_owned(), COLUMNS.to_owned());
+        if self.written.is_none_or(|written| written.elapsed() < RELOAD) {
+            return;
         }
-        if at.step.is_multiple_of(LOG_EVERY) {
-            log_line(log, at.step, at.fit);
-        }
-        if written.elapsed() >= RELOAD {
-            let log = parse_log(at.pass, log);
-            // A page that cannot be written is no reason to lose the run; the pass writes it again
-            // at its end.
-            let _ = self.write_with(out, |run| {
-                run.logs.extend(log);
-                run.views.insert(0, worst_views(world));
-            });
-            self.live.iter_mut().for_each(|live| live.written = Instant::now());
-        }
+        let log = world.get_resource::<StepLog>().and_then(|log| parse_log(at.pass, &log.0));
+        // A page that cannot be written is no reason to lose the run; the pass writes it again at
+        // its end.
+        let _ = self.write_with(out, |run| {
+            run.logs.extend(log);
+            run.views.insert(0, worst_views(world));
+        });
+        self.written = Some(Instant::now());
     }
 
     /// Writes `OUT/report.html`.
@@ -109,7 +93,7 @@ impl Reporter {
         let scores = read_scores(out).unwrap_or_default();
         let mut report = gather(out, &record, scores, &mut self.pictures);
         add(&mut report);
-        let is_live = self.live.is_some() && record.state == RunState::Running;
+        let is_live = self.written.is_some() && record.state == RunState::Running;
         report.reload_secs = is_live.then_some(RELOAD.as_secs());
         write_bytes(&out.join(REPORT), html(&[report])?.as_bytes())
     }
@@ -186,13 +170,6 @@ fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) 
         ("seed", record.seed.map(|seed| seed.to_string())),
         ("machine", record.machine.as_ref().map(|machine| machine.words())),
     ];
-    let pass_report = |pass: &PassRecord| PassReport {
-        name: pass.name.clone(),
-        state: pass.state.word(),
-        secs: pass.secs,
-        peak_rss_mib: pass.peak_rss_mib,
-        said: pass.said.clone(),
-    };
     // In the order in which they may spend the budget.
     let shown = fits.iter().flat_map(|fit| fit_pictures(out, fit, pictures)).collect();
     let mut views = scored_views(out, record, &scores, pictures);
@@ -205,7 +182,7 @@ fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) 
         fields: fields(&record.scene_text),
         scene_text: record.scene_text.clone(),
         said: record.said.clone(),
-        passes: record.passes.iter().map(pass_report).collect(),
+        passes: record.passes.clone(),
         logs: fits.iter().filter_map(log).collect(),
         pictures: shown,
         views,
@@ -215,16 +192,12 @@ fn gather(out: &Path, record: &Record, scores: Scores, pictures: &mut Pictures) 
     }
 }
 
-/// The columns of a log; `None` if there are none. A fit that begins again repeats its steps: the
-/// last count.
+/// The columns of a log; `None` if there are none.
 fn parse_log(pass: &str, text: &str) -> Option<FitLog> {
     let mut lines = text.lines();
     let mut columns: Vec<(_, Vec<f64>)> = lines.next()?.split(',').map(|n| (n.to_owned(), vec![])).collect();
     for line in lines {
-        let step = line.split(',').next()?.parse().unwrap_or(f64::NAN);
-        let kept = columns[0].1.iter().take_while(|before| **before < step).count();
         for ((_, values), entry) in columns.iter_mut().zip(line.split(',')) {
-            values.truncate(kept);
             values.push(entry.parse().unwrap_or(f64::NAN));
         }
     }
@@ -236,13 +209,12 @@ fn fit_pictures(out: &Path, pass: &str, pictures: &mut Pictures) -> Vec<ReportPi
         let address = pictures.small(&out.join(pass).join(file), TEXTURE_SIDE)?;
         Some(ReportPicture { title: format!("{pass}: {title}"), address })
     };
-    let [_, _, own] = light_files("");
-    let mut all: Vec<ReportPicture> = shown(&own, "recovered light").into_iter().collect();
-    // Those of further groups of photographs, as many as there are.
-    all.extend((2..).map_while(|number| {
-        let [_, _, other] = light_files(&format!("_{number}"));
-        shown(&other, &format!("recovered light {number}"))
-    }));
+    // As many as there are of groups of photographs.
+    let light = |number: usize| {
+        let of = if number == 1 { String::new() } else { format!(" {number}") };
+        shown(&light_files(number)[2], &format!("recovered light{of}"))
+    };
+    let mut all: Vec<ReportPicture> = (1..).map_while(light).collect();
     all.extend(PICTURES.iter().filter_map(|(file, title)| shown(file, title)));
     all
 }
@@ -549,12 +521,7 @@ mod tests {
         assert_eq!(pictures.small(&path, 16), Some(address.clone()));
         pictures.left = address.len() + 1;
         assert!(pictures.small(&path, 16).is_some() && pictures.small(&path, 16).is_none());
-    }
-
-    #[test]
-    fn what_is_no_picture_is_left_out() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.png");
+        // What is no picture is left out.
         let mut pictures = Pictures { left: 1 << 20, ..Pictures::default() };
         assert_eq!((pictures.small(&path, 16), pictures.file(&path)), (None, None));
         fs::write(&path, "no picture").unwrap();

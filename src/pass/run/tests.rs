@@ -2,7 +2,8 @@
 //! there.
 
 use crate::object::progress::Silent;
-use crate::pass::{RunOptions, run, run::record::Record, run::record::RunState};
+use crate::pass::{RunOptions, run, run::record::Record};
+use crate::report::RunState;
 use crate::scene::{LoadOptions, LoadedScene, load};
 use lobelia_geometry::error::Error;
 use lobelia_io::codec::file::faults::{Call, Faulty, FileFault};

@@ -5,6 +5,7 @@
 mod plot;
 
 use crate::report::scores::{PassScores, Scaling, Scores, ViewScores};
+use crate::report::{PassRecord, RunState};
 use indexmap::IndexSet;
 use lobelia_geometry::error::{Error, Result};
 use plot::{Series, svg};
@@ -24,7 +25,7 @@ pub struct RunReport {
     pub(crate) fields: Vec<(String, String)>,
     /// Notes before the first pass.
     pub(crate) said: Vec<String>,
-    pub(crate) passes: Vec<PassReport>,
+    pub(crate) passes: Vec<PassRecord>,
     pub(crate) scores: Scores,
     pub(crate) logs: Vec<FitLog>,
     pub(crate) pictures: Vec<ReportPicture>,
@@ -32,19 +33,6 @@ pub struct RunReport {
     pub(crate) findings: Vec<FitFinding>,
     /// Seconds after which the page loads itself again, while the run goes on.
     pub(crate) reload_secs: Option<u64>,
-}
-
-/// A pass.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct PassReport {
-    pub name: String,
-    /// How far it is: "finished", "running", …
-    pub state: String,
-    pub secs: Option<f64>,
-    /// Largest resident memory of the process when it had ended, in MiB.
-    pub peak_rss_mib: Option<f64>,
-    /// Its lines of result and notes.
-    pub said: Vec<String>,
 }
 
 /// The log of a fit: columns of numbers by name, one entry each per line.
@@ -584,14 +572,14 @@ fn findings(runs: &[RunReport]) -> String {
 
 /// Time and memory of the passes, and the lines that the runs told their user.
 fn passes(runs: &[RunReport]) -> String {
-    let cell = |pass: &PassReport| {
+    let cell = |pass: &PassRecord| {
         let secs = match pass.secs {
             None => NOTHING.to_owned(),
             Some(secs) if secs < 100.0 => format!("{secs:.1} s"),
             Some(secs) => format!("{} min {:02} s", secs as u64 / 60, secs as u64 % 60),
         };
         let peak = pass.peak_rss_mib.map(|mib| format!(", {mib:.0} MiB")).unwrap_or_default();
-        let state = if pass.state == "finished" { String::new() } else { escaped(&pass.state) + " " };
+        let state = if pass.state == RunState::Finished { String::new() } else { pass.state.word() + " " };
         (pass.name.clone(), format!("{state}{secs}{peak}"))
     };
     let rows = named_rows(runs, |run| run.passes.iter().map(cell).collect());

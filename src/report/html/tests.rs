@@ -32,8 +32,8 @@ fn fit_log() -> FitLog {
     FitLog { pass: "fit".into(), columns: columns.map(|name| (name.to_owned(), vec![1.0, 20.0])).to_vec() }
 }
 
-fn pass(name: &str, state: &str) -> PassReport {
-    PassReport { name: name.into(), state: state.into(), ..PassReport::default() }
+fn pass(name: &str, state: RunState) -> PassRecord {
+    PassRecord { state, ..PassRecord::waiting(name, Vec::new()) }
 }
 
 fn picture(title: &str, address: &str) -> ReportPicture {
@@ -51,7 +51,7 @@ fn run(name: &str, psnr: f64) -> RunReport {
         facts: vec![("seed".into(), "7".into())],
         scene_text: "Scene(version: 1)".into(),
         fields: vec![("version".into(), "1".into()), ("passes.fit.steps".into(), psnr.to_string())],
-        passes: vec![PassReport { secs: Some(125.2), ..pass("fit", "finished") }],
+        passes: vec![PassRecord { secs: Some(125.2), ..pass("fit", RunState::Finished) }],
         scores: Scores {
             passes: IndexMap::from([("novel".into(), pass_scores(psnr))]),
             normal_deg: Some(psnr / 10.0),
@@ -125,10 +125,6 @@ fn runs_stand_side_by_side_with_differences() {
     has(part(&page, "scene"), &["passes.fit.steps", "<td>30</td><td>31.5</td>", "<td>–</td><td>3</td>"]);
     assert!(!part(&page, "scene").contains("<th scope=\"row\">version<"));
     assert_eq!(part(&page, "curves").matches("<g class=\"c1\"").count(), 6);
-}
-
-#[test]
-fn runs_of_one_scene_say_so() {
     let page = html(&[run("a", 30.0), run("b", 30.0)]).unwrap();
     has(part(&page, "scene"), &["The scene files have the same values."]);
 }
@@ -139,7 +135,7 @@ fn an_interrupted_run_has_a_report_of_what_there_is() {
         name: "x".into(),
         state: "failed".into(),
         error: Some("fit: no <pixels>".into()),
-        passes: vec![pass("fit", "failed")],
+        passes: vec![pass("fit", RunState::Failed)],
         ..RunReport::default()
     };
     let page = html(&[empty]).unwrap();
@@ -160,7 +156,7 @@ fn nothing_of_a_users_files_is_markup() {
     bad.scene_text = evil.into();
     bad.fields.push((evil.into(), evil.into()));
     bad.said = vec![evil.into()];
-    bad.passes.push(PassReport { said: vec![evil.into()], ..pass(evil, evil) });
+    bad.passes.push(PassRecord { said: vec![evil.into()], ..pass(evil, RunState::Failed) });
     bad.logs[0].pass = evil.into();
     bad.pictures.push(picture(evil, evil));
     bad.findings.push(finding(evil, evil, None));
