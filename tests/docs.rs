@@ -11,6 +11,8 @@ use crate::common::{Data, Outcome, command, files_below};
 use lobelia::scene::{LoadOptions, load};
 use std::{collections::BTreeSet, path::Path};
 
+/// Most words of the README.
+const README_WORDS: usize = 1200;
 /// The pages whose `rust` blocks are compiled, as doctests of `src/lib.rs`.
 const RUST_PAGES: [&str; 2] = ["README.md", "docs/src/extending.md"];
 
@@ -297,6 +299,12 @@ fn follow(page: &Page, target: &str, pages: &[Page]) -> Result<(), &'static str>
     let other = pages.iter().find(is_it);
     let is_there = |page: &Page| page.anchors().iter().any(|known| known == anchor);
     if anchor.is_empty() || other.is_some_and(is_there) { Ok(()) } else { Err("there is no such heading") }
+}
+
+#[test]
+fn readme_is_short() {
+    let words = read("README.md").split_whitespace().count();
+    assert!(words <= README_WORDS, "README.md has {words} words; {README_WORDS} are enough");
 }
 
 /// A `rust` block anywhere else would not be compiled.
