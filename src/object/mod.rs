@@ -35,7 +35,7 @@ use crate::capture::{Capture, read_views};
 use crate::report::scores::{FrameTried, PlacementFound, Scores};
 use crate::scene::{
     Albedo, FitPass, Light, LightSource, LoadOptions, Material, Pass, PlacementLight, Scene, ShapePass,
-    Surface as SurfaceSpec, Views, Visibility, load,
+    Surface as SurfaceSpec, Views, Visibility, check_without_views, load,
 };
 use crate::spawn::{
     Made, SurfaceUse, insert_known_along, light::angles, load_light, make_surface, spawn, unknowns,
@@ -171,11 +171,14 @@ impl Object {
     pub fn reconstruct(capture: &Capture, options: &ReconstructOptions) -> Result<Self> {
         options.stop.over(|| {
             let spec = SurfaceSpec::Unknown { cells: 128, texture_size: options.texture_size };
-            let made = make_surface(&spec, capture, SurfaceUse::UntilShape)?;
-            let mut object = Self::of_capture(spec, made, capture, options)?;
             let shape = options.shape.clone().unwrap_or_else(|| capture.shape_pass());
+            let fit = options.fit.clone().unwrap_or_else(|| capture.fit_pass_of_shape());
+            let passes = vec![Pass::Shape(shape.clone()), Pass::Fit(fit.clone())];
+            let mut object = Self::of_capture(spec, passes, capture, options, |spec| {
+                make_surface(spec, capture, SurfaceUse::UntilShape)
+            })?;
             if !object.find_shape(&shape)? {
-                object.find(&options.fit.clone().unwrap_or_else(|| capture.fit_pass_of_shape()))?;
+                object.find(&fit)?;
             }
             Ok(object)
         })
@@ -188,22 +191,28 @@ impl Object {
     pub fn fit(mesh: &Mesh, capture: &Capture, options: &ReconstructOptions) -> Result<Self> {
         options.stop.over(|| {
             let texture_size = options.texture_size;
-            let surface = Surface::new(unwrap_mesh(mesh, texture_size)?.mesh, texture_size)?;
             let spec = SurfaceSpec::Mesh { path: PathBuf::new(), texture_size, own_material: false };
-            let mut object = Self::of_capture(spec, (surface, Vec::new()), capture, options)?;
-            object.find(&options.fit.clone().unwrap_or_else(|| capture.fit_pass()))?;
+            let fit = options.fit.clone().unwrap_or_else(|| capture.fit_pass());
+            let mut object = Self::of_capture(spec, vec![Pass::Fit(fit.clone())], capture, options, |_| {
+                let surface = Surface::new(unwrap_mesh(mesh, texture_size)?.mesh, texture_size)?;
+                Ok((surface, Vec::new()))
+            })?;
+            object.find(&fit)?;
             Ok(object)
         })
     }
 
     fn of_capture(
         surface: SurfaceSpec,
-        made: Made,
+        passes: Vec<Pass>,
         capture: &Capture,
         options: &ReconstructOptions,
+        make: impl FnOnce(&SurfaceSpec) -> Result<Made>,
     ) -> Result<Self> {
         let ReconstructOptions { light, material, visibility, seed, progress, .. } = options.clone();
-        let scene = Scene { seed, surface, light, material, visibility, ..capture.scene() };
+        let mut scene = Scene { seed, surface, light, material, visibility, passes, ..capture.scene() };
+        check_without_views(&mut scene)?;
+        let made = make(&scene.surface)?;
         Self::of_scene(scene, made, capture.to_vec(), progress, false)
     }
 
@@ -217,7 +226,7 @@ impl Object {
         let data = OpenScene::new(&scene)?;
         let (views, _) = read_views(&scene, data.as_ref(), &Silent)?;
         let made = make_surface(&scene.surface, &views, SurfaceUse::Lasting)?;
-        Self::of_scene(scene.clone(), made, views, Arc::new(Silent), true)
+        Self::of_scene(scene.clone(), made, views, Arc::new(Silent), false)
     }
 
     /// The world and its systems.
@@ -244,6 +253,10 @@ impl Object {
             Ok(light)
         };
         let own_light = scene.light.source().map(load).transpose()?;
+        let of_pass = |pass: &Pass| Some((pass.name().to_owned(), pass.light()?.clone()));
+        let of_passes = scene.passes.iter().filter_map(of_pass);
+        let of_passes: Vec<_> =
+            of_passes.map(|(name, light)| Ok((name, load(&light)?))).collect::<Result<_>>()?;
         let of_group = |light: PlacementLight| match light {
             PlacementLight::Fixed(source) => load(&source).map(Some),
             PlacementLight::Own | PlacementLight::Same => Ok(None),
@@ -274,11 +287,8 @@ impl Object {
         pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin).add_plugin(&GeometryPlugin);
         spawn(&mut pipeline, &scene, &surface, views, own_light.as_ref(), &others)?;
         let world = &mut pipeline.world;
-        for pass in &scene.passes {
-            if let Some(source) = pass.light() {
-                let light = load(source)?;
-                spawn_light(world, pass.name(), &light.lobes, light.map);
-            }
+        for (name, light) in of_passes {
+            spawn_light(world, name, &light.lobes, light.map);
         }
         world.insert_resource(ObjectSurface { surface, is_found: false });
         world.insert_resource(Listener(progress));

@@ -28,6 +28,6 @@ pub use passes::*;
 pub use render::*;
 pub use source::LoadOptions;
 pub use source::fields;
-pub(crate) use validate::uses_published;
 pub use validate::{MIN_ROUGHNESS, unknown_parts};
+pub(crate) use validate::{check_without_views, uses_published};
 pub use views::*;

@@ -15,6 +15,7 @@ use crate::scene::{
 };
 use glam::Vec3;
 use lobelia_geometry::mesh::MAX_COORDINATE;
+use lobelia_geometry::{Error, Result};
 use lobelia_io::codec::file::{FileKind, Obstacle, obstacle};
 use lobelia_io::codec::{image::Gamma, nearby::missing_file_help};
 use lobelia_solve::fit::scale::ScaleRule;
@@ -48,10 +49,6 @@ pub(super) fn check(scene: &mut Scene, base_dir: &Path, options: &LoadOptions) -
         Views::Cameras(list) => cameras(&at, list),
         Views::Photographed(made) => photographed(&at, made),
     }
-    match &mut scene.light {
-        Light::Unknown(unknown) => root.at("light").count("lobes", unknown.lobes, 1..=MOST_LOBES as u32),
-        Light::Initial(source) | Light::Fixed(source) => light_source(&root.at("light"), source),
-    }
     if let Views::Photographed(made) = &scene.views
         && !made.truth.other_lights.is_empty()
         && !matches!(scene.light, Light::Unknown(_))
@@ -59,13 +56,37 @@ pub(super) fn check(scene: &mut Scene, base_dir: &Path, options: &LoadOptions) -
         let expected = "expected Unknown(…), as there are `other_lights`, which a fit is to find as well";
         root.at("light").fail("the light is given", expected, "");
     }
-    light_frame(&root, scene.light_frame);
+    values(&root, scene);
+    found.into_inner()
+}
+
+/// Checks what a program says of an object whose surface and photographs it has.
+pub(crate) fn check_without_views(scene: &mut Scene) -> Result<()> {
+    let (found, options) = (RefCell::default(), LoadOptions::default());
+    let root = Place { path: String::new(), base_dir: Path::new(""), options: &options, found: &found };
+    if let Surface::Mesh { texture_size, .. } | Surface::Unknown { texture_size, .. } = scene.surface {
+        root.count("texture_size", texture_size, 8..=4096);
+    }
+    values(&root, scene);
+    let first = found.into_inner().problems.into_iter().next();
+    first.map_or(Ok(()), |Problem { path, problem, expected, help }| {
+        Err(Error::usage(format!("{path}: {problem}: {expected}"), help))
+    })
+}
+
+/// Checks light, material and passes.
+fn values(root: &Place, scene: &mut Scene) {
+    match &mut scene.light {
+        Light::Unknown(unknown) => root.at("light").count("lobes", unknown.lobes, 1..=MOST_LOBES as u32),
+        Light::Initial(source) | Light::Fixed(source) => light_source(&root.at("light"), source),
+    }
+    light_frame(root, scene.light_frame);
     material(&root.at("material"), &mut scene.material);
     if scene.own_material().is_some() && scene.material != Material::default() {
         let help = "Remove `material`, or `own_material` from the surface.";
         root.at("material").fail("the mesh's own material is taken", "expected no other material", help);
     }
-    scale(&root, scene.scale);
+    scale(root, scene.scale);
     if let Visibility::Traced { directions, bounces, refresh_every } = scene.visibility {
         let at = root.at("visibility");
         at.count("directions", directions, 64..=4096);
@@ -73,7 +94,6 @@ pub(super) fn check(scene: &mut Scene, base_dir: &Path, options: &LoadOptions) -
         at.count("refresh_every", refresh_every, 1..=u32::MAX);
     }
     passes::passes(&root.at("passes"), scene);
-    found.into_inner()
 }
 
 fn surface(at: &Place, surface: &mut Surface) {
