@@ -2,20 +2,23 @@
 //! one's own.
 
 use crate::common::{RADIUS, camera, column, day, evening, photographs_of, shoot, studio};
+use lobelia::checkpoint::{Span, keep_pool, load, save};
 use lobelia::fit::components::TexelSeen;
+use lobelia::light::groups::{all_lights, spawn_group_lights};
 use lobelia::sg::fibonacci::fibonacci_axes;
 use lobelia::sg::shading::{LobeColumns, ShadePoint};
 use lobelia::{
     codec::exr::read_exr_layers, ecs::*, material::shown::recovered_material, object::save::write_material,
     prelude::*,
 };
+use serde::{Deserialize, Serialize};
 use std::{ops::ControlFlow, sync::LazyLock};
 
 #[path = "../examples/own_shader.rs"]
 #[allow(dead_code)]
 mod own_shader;
 
-#[derive(Component)]
+#[derive(Component, Clone, Copy, Serialize, Deserialize)]
 struct Marked;
 
 fn front() -> Camera {
@@ -69,8 +72,35 @@ fn a_marker_on_a_texel_does_not_change_a_picture() {
         pipeline.world.entity_mut(texel).insert(Marked);
         assert_eq!(shoot(&mut pipeline, front()), by_day());
     }
-    let marked = pipeline.world.query_filtered::<&TexelIndex, With<Marked>>().iter(&pipeline.world).count();
-    assert_eq!(marked, 2);
+    assert_eq!(marked(&mut pipeline.world), [3, 517]);
+}
+
+fn marked(world: &mut World) -> Vec<u32> {
+    let mut query = world.query_filtered::<&TexelIndex, With<Marked>>();
+    let mut marked: Vec<u32> = query.iter(world).map(|index| index.0).collect();
+    marked.sort_unstable();
+    marked
+}
+
+#[test]
+fn lights_of_groups_and_markers_are_state_that_is_saved_and_loaded() {
+    let two_rooms = |other: Vec<LightLobe>| {
+        let mut pipeline = studio(&day());
+        pipeline.add_plugin(&FitPlugin);
+        spawn_group_lights(&mut pipeline.world, &[(other, None)]);
+        keep_pool::<TexelIndex, Marked>(&mut pipeline.world, Span::Run);
+        pipeline
+    };
+    let mut first = two_rooms(evening());
+    for number in [517, 3] {
+        let texel = texel(&mut first.world, number);
+        first.world.entity_mut(texel).insert(Marked);
+    }
+    let saved = save(&mut first.world, Span::Run).unwrap();
+    let mut second = two_rooms(LightLobe::even(evening().len()));
+    load(&mut second.world, &saved).unwrap();
+    assert_eq!(marked(&mut second.world), [3, 517]);
+    assert_eq!(all_lights(&mut second.world), [day(), evening()]);
 }
 
 #[test]

@@ -117,7 +117,8 @@ fn what_cannot_work_is_one_clear_error() {
     let error = object.export("object.stl").unwrap_err();
     assert!(error.to_string().contains("object.stl") && error.help().unwrap().contains(".glb"), "{error}");
     assert!(Edit::metal("gold", 0.2).unwrap_err().help().unwrap().contains("#rrggbb"));
-    let wrong = |options: ReconstructOptions| Object::reconstruct(&CAPTURE, &options).err().unwrap().to_string();
+    let wrong =
+        |options: ReconstructOptions| Object::reconstruct(&CAPTURE, &options).err().unwrap().to_string();
     let error = wrong(ReconstructOptions { texture_size: 4, ..options() });
     assert!(error.contains("texture_size"), "{error}");
     let shape = Some(ShapePass { levels: Vec::new(), ..ShapePass::default() });
