@@ -19,9 +19,10 @@ use crate::survey::{Severity, Survey, open::OpenScene};
 use crate::{object::photograph::camera_of, prepare::scene_file::scene_for};
 use glam::Vec3;
 use lobelia_geometry::{Result, view::Camera, view::Split, view::ViewRecord};
+use lobelia_io::codec::nearby::natural_order;
 use lobelia_io::dataset::{DatasetOptions, Layout, has_split};
 use lobelia_solve::fit::{cameras::CameraUnknowns, exposure::ExposureChoice};
-use std::{ops::Deref, path::Path};
+use std::{ops::Deref, path::Path, sync::Arc};
 use tracing::info_span;
 
 /// Photographs of one object with their cameras. It derefs to its views.
@@ -32,12 +33,13 @@ pub struct Capture {
     scene: Scene,
     /// Whether the data say which views are held out.
     has_split: bool,
+    survey: Option<Arc<Survey>>,
 }
 
 impl Capture {
     /// Reads a folder of photographs with cameras, as the scene file says that `lobelia new` writes
     /// for it: its layout is found, and where it does not say which views are held out, every eighth
-    /// is.
+    /// of at least twelve is.
     ///
     /// # Errors
     /// If the folder is no data set, a photograph cannot be read, or what the photographs show
@@ -47,26 +49,26 @@ impl Capture {
         let path = folder.join("scene.ron");
         let mut scene = read(scene_for(folder, Layout::Auto, &path)?, &path, &LoadOptions::default())?.scene;
         let data = OpenScene::new(&scene)?;
-        let (views, _) = read_views(&scene, data.as_ref(), &Silent)?;
+        let (views, survey) = read_views(&scene, data.as_ref(), &Silent)?;
         drop(data);
         let options = DatasetOptions { hold_out: 0, ..DatasetOptions::default() };
         let has_split = has_split(folder, Split::Test, &options)?;
         scene.passes.clear();
-        Ok(Self { views, scene, has_split })
+        Ok(Self { views, scene, has_split, survey: survey.map(Arc::new) })
     }
 
-    /// Holds every n-th view by name out of fits, starting with the first; none for 0. Nothing
-    /// changes where the data say themselves which views are held out.
+    /// Holds every n-th view by name out of fits, from two on and starting with the first, or none.
+    /// Nothing changes where the data say themselves which views are held out.
     #[must_use]
     pub fn hold_out(mut self, every: u32) -> Self {
         if !self.has_split {
-            self.views.sort_by(|a, b| a.name.cmp(&b.name));
+            self.views.sort_by(|a, b| natural_order(&a.name, &b.name));
             for (view, place) in self.views.iter_mut().zip(0u32..) {
-                let is_held_out = every > 0 && place.is_multiple_of(every);
+                let is_held_out = every > 1 && place.is_multiple_of(every);
                 view.split = if is_held_out { Split::Test } else { Split::Train };
             }
             if let Views::Dataset(data) = &mut self.scene.views {
-                data.hold_out = every;
+                data.hold_out = if every > 1 { every } else { 0 };
             }
         }
         self
@@ -84,12 +86,27 @@ impl Capture {
 
     fn of(&self, split: Split) -> Self {
         let views = self.views.iter().filter(|view| view.split == split).cloned().collect();
-        Self { views, ..self.clone() }
+        Self { views, scene: self.scene.clone(), has_split: self.has_split, survey: self.survey.clone() }
     }
 
     /// What is said of the object: its views and their up.
     pub(crate) fn scene(&self) -> Scene {
-        self.scene.clone()
+        let views = match &self.scene.views {
+            Views::Cameras(_) => Views::Cameras(self.iter().map(spec_of).collect()),
+            data => data.clone(),
+        };
+        Scene { views, ..self.scene.clone() }
+    }
+
+    /// What may be wrong with the photographs, in sentences.
+    pub fn warnings(&self) -> Vec<String> {
+        let warnings = self.survey.iter().flat_map(|survey| survey.findings_of(Severity::Warning));
+        warnings.map(|warning| warning.problem.clone()).collect()
+    }
+
+    /// Whether the object was turned before a camera that stood still.
+    pub(crate) fn is_turntable(&self) -> bool {
+        self.survey.as_ref().is_some_and(|survey| survey.is_turntable())
     }
 
     /// What is not known of photographs of a camera: each has an exposure of its own, and poses are a
@@ -120,8 +137,8 @@ impl Capture {
 
 impl From<Vec<ViewRecord>> for Capture {
     fn from(views: Vec<ViewRecord>) -> Self {
-        let scene = Scene::of_views(Views::Cameras(views.iter().map(spec_of).collect()));
-        Self { views, scene, has_split: false }
+        let scene = Scene::of_views(Views::Cameras(Vec::new()));
+        Self { views, scene, has_split: false, survey: None }
     }
 }
 

@@ -33,8 +33,7 @@ static CAPTURE: LazyLock<Capture> = LazyLock::new(|| {
 
 fn options() -> ReconstructOptions {
     let fit = FitPass { steps: 150, batch: 1024, ..FitPass::default() };
-    let light = lobelia::scene::Light::Unknown(lobelia::scene::UnknownLight { lobes: 24 });
-    ReconstructOptions { texture_size: 48, light, fit: Some(fit), ..ReconstructOptions::default() }
+    ReconstructOptions { texture_size: 48, lobes: 24, fit: Some(fit), ..ReconstructOptions::default() }
 }
 
 fn found(options: &ReconstructOptions) -> Object {
@@ -93,6 +92,30 @@ fn a_callback_sees_each_step_and_may_end_the_fit() {
     let mut object = found(&ReconstructOptions { progress: Arc::new(watch), ..options() });
     assert_eq!(LAST.load(Ordering::Relaxed), 30);
     assert!(object.render(CAPTURE[0].camera).unwrap().color.iter().any(|color| color.x > 0.05));
+}
+
+#[test]
+fn a_request_to_stop_is_of_what_is_done_under_it_and_a_callback_of_one_object() {
+    let stops_at = |last: u32| {
+        let watch =
+            move |at: &Step| if at.step < last { ControlFlow::Continue(()) } else { ControlFlow::Break(()) };
+        ReconstructOptions { progress: Arc::new(watch), ..options() }
+    };
+    let steps = |object: &mut Object| {
+        let log =
+            object.pipeline().world.query::<&SpecularLobe>().iter(&object.pipeline().world).next().copied();
+        (log, object.scores().fit_secs.is_some())
+    };
+    // The second object with the same options is stopped as the first was.
+    let options = stops_at(20);
+    let (mut first, mut second) = (found(&options), found(&options));
+    assert_eq!(steps(&mut first), steps(&mut second));
+    assert_ne!(steps(&mut first), steps(&mut found(&stops_at(1000))));
+    options.stop.ask();
+    let error =
+        Object::fit(&sphere_mesh(Vec3::ZERO, 0.8).unwrap(), &CAPTURE.train(), &options).err().unwrap();
+    assert!(matches!(error, Error::Interrupted), "{error}");
+    found(&stops_at(5));
 }
 
 #[test]

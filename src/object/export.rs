@@ -27,10 +27,10 @@ use lobelia_world::light::{EnvironmentMap, LightLobe, render_lobes, rotate_lobes
 use lobelia_world::material::{Diffuse, SpecularBlend, SpecularLobe, edit::MaterialState};
 use std::{f32::consts::TAU, path::Path, path::PathBuf, sync::Arc};
 
-/// Texture files of a USD file.
-const BASE_COLOR: &str = "mesh_base_color.png";
-const REFLECTANCE: &str = "mesh_reflectance.png";
-const ROUGHNESS: &str = "mesh_roughness.png";
+/// Texture files of a USD file, after its stem and a `_`.
+const BASE_COLOR: &str = "base_color.png";
+const REFLECTANCE: &str = "reflectance.png";
+const ROUGHNESS: &str = "roughness.png";
 
 impl Object {
     /// Writes the object as [`Appearance::export`] does.
@@ -122,7 +122,7 @@ pub fn files(pass: &ExportPass) -> Vec<String> {
     let of_format = |format: &MeshFormat| {
         let beside: &[&str] = match format {
             MeshFormat::Glb => &[MODEL_PAGE],
-            MeshFormat::Usda => &[BASE_COLOR, REFLECTANCE, ROUGHNESS],
+            MeshFormat::Usda => &["mesh_base_color.png", "mesh_reflectance.png", "mesh_roughness.png"],
             MeshFormat::Usdz => &[],
         };
         [&[file_of(*format)], beside].concat()
@@ -164,9 +164,10 @@ fn gltf(object: &Exported) -> Result<GltfMaterial> {
 }
 
 /// The material as USD has it, in which F90 is one.
-fn usd(object: &Exported) -> Result<UsdMaterial> {
+fn usd(object: &Exported, path: &Path) -> Result<UsdMaterial> {
     let look = object.look(Some(1.0));
-    let image = |name: &str, png: Vec<u8>| UsdImage { name: name.to_owned(), png };
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let image = |name: &str, png: Vec<u8>| UsdImage { name: format!("{stem}_{name}"), png };
     let diffuse = image(BASE_COLOR, object.color_png(&look.base)?);
     if let ([dielectric], [roughness]) = (&look.dielectrics[..], &look.roughness[..]) {
         let (specular, roughness) = (UsdInput::Value(dielectric.f0), UsdInput::Value(*roughness));
@@ -338,8 +339,8 @@ impl Exported {
     ) -> Result<()> {
         match format {
             MeshFormat::Glb => write_glb(path, mesh, Some(&gltf(self)?)),
-            MeshFormat::Usda => write_usda(path, mesh, &usd(self)?, up, light),
-            MeshFormat::Usdz => write_usdz(path, mesh, &usd(self)?, up),
+            MeshFormat::Usda => write_usda(path, mesh, &usd(self, path)?, up, light),
+            MeshFormat::Usdz => write_usdz(path, mesh, &usd(self, path)?, up),
         }
     }
 

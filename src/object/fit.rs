@@ -23,11 +23,11 @@
 //! its place, from the same light and albedo; then it goes back and takes the same steps as it is.
 //! Where cameras or vertices are fitted too, they move in the second half of the comparison only.
 
-use crate::object::{Chosen, Object, progress::tell, replace_surface, show::apply_edits};
-use crate::report::scores::{MaterialsTried, NdfTried, ScaleFound, given_up_words};
-use crate::scene::{
-    Albedo, FitPass, FitShading, Gloss, Light, NdfChoice, Sheen, SpecularAlbedo, Tilt, uses_published,
+use crate::object::{
+    Chosen, Object, initialized, progress::tell, replace_surface, show::apply_edits, view_report::note_fit,
 };
+use crate::report::scores::{MaterialsTried, NdfTried, ScaleFound, given_up_words};
+use crate::scene::{FitPass, FitShading, Gloss, NdfChoice, Sheen, SpecularAlbedo, Tilt, uses_published};
 use crate::spawn::{initial_lobes, initial_specular, several_materials};
 use bevy_ecs::prelude::{Resource, With, World};
 use glam::{Vec2, Vec3};
@@ -56,7 +56,7 @@ use lobelia_world::material::diffuse::{Diffuse, KnownAlong, has_sheen, has_tilt,
 use lobelia_world::material::material_source::RecoveredMaterial;
 use lobelia_world::material::{
     BaseMaterial, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, first_material,
-    replace_materials, shown::recovered_material, texels_in_order,
+    recovered_materials, replace_materials, shown::recovered_material, texels_in_order,
 };
 use lobelia_world::pipeline::pool::{despawn_rows, read_column, with_columns, write_column};
 use lobelia_world::pipeline::{Phase, Shader, Slot};
@@ -99,12 +99,12 @@ const NDF_CLEARLY: f64 = 0.975;
 
 impl Object {
     /// Finds what is unknown of light and material from the training photographs. Returns the steps
-    /// and findings of the fit, and the number of covered texels that no view sees.
+    /// and findings of the fit.
     ///
     /// # Errors
     /// If there are no pixels to fit to, or a system fails. A fit that is stopped leaves what it
     /// has found until then.
-    pub(crate) fn find(&mut self, pass: &FitPass) -> Result<(FitSummary, usize)> {
+    pub(crate) fn find(&mut self, pass: &FitPass) -> Result<FitSummary> {
         if let Gloss::Texels { smoothness, color_width, specular } = self.scene().material.gloss {
             let first = initial_specular(&self.scene().material.specular).roughness;
             let prior = RoughnessPrior::new(self.surface().atlas(), smoothness, color_width, specular);
@@ -140,7 +140,45 @@ impl Object {
         let [mean_light, mean_albedo] = means(&mut self.pipeline.world)?.map(|mean| mean.to_array());
         self.scores().add_fit_secs(summary.elapsed_secs);
         self.scores().scale = Some(ScaleFound { rule, mean_light, mean_albedo });
-        Ok((summary, unseen))
+        note_fit(self);
+        report(self, &pass.name, &summary, unseen);
+        Ok(summary)
+    }
+}
+
+fn report(object: &mut Object, name: &str, summary: &FitSummary, unseen: usize) {
+    let world = &mut object.pipeline.world;
+    // One or two base materials completely, of more the range of roughness of the texels.
+    let lobes: Vec<SpecularLobe> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
+    let gloss: Vec<f32> = world.query::<&TexelRoughness>().iter(world).map(|gloss| gloss.roughness).collect();
+    let (low, high) = gloss.iter().fold((f32::INFINITY, 0f32), |(low, high), r| (low.min(*r), high.max(*r)));
+    let words = |roughness: String, [r, g, b]: [f32; 3]| {
+        format!("; roughness {roughness}, specular albedo ({r:.3}, {g:.3}, {b:.3})")
+    };
+    let material: String = match lobes.as_slice() {
+        [first, ..] if !gloss.is_empty() => words(format!("{low:.3} to {high:.3}"), first.albedo.to_array()),
+        all => all.iter().map(|l| words(format!("{:.3}", l.roughness), l.albedo.to_array())).collect(),
+    };
+    object.print(&format!(
+        "{name}: {} steps over {} pixels in {:.1} s{material}{}",
+        summary.steps,
+        summary.pixels,
+        summary.elapsed_secs,
+        if summary.stopped { " (stopped early)" } else { "" }
+    ));
+    if let Some(part) = summary.explained_by_sheen.map(|part| 100.0 * part) {
+        let world = &mut object.pipeline.world;
+        let found = with_columns::<TexelIndex, &Diffuse, _>(world, |texels| Ok(has_sheen(&texels)));
+        let words = if found.unwrap_or_default() { "a sheen" } else { "no sheen" };
+        let of = "of the squared error of views kept aside";
+        object.print(&format!("{name}: {words}: it explains {part:.1} % {of}"));
+    }
+    object.scores().determined = summary.determined;
+    if let Some(words) = summary.determined.and_then(|found| found.words()) {
+        object.print(&format!("{name}: determined by the photographs: {words}"));
+    }
+    if unseen > 0 {
+        object.progress().note(&format!("{unseen} texels that no view sees are filled from their neighbors"));
     }
 }
 
@@ -298,11 +336,7 @@ fn try_several(object: &mut Object, pass: &FitPass, before: &FitOptions, one: &S
     let world = &mut object.pipeline.world;
     let (lobes, blend) = several_materials();
     replace_materials(world, &lobes, blend)?;
-    let initialize = Initialize {
-        light: matches!(scene.light, Light::Unknown(_)),
-        albedo: matches!(scene.material.albedo, Albedo::Unknown),
-        specular: false,
-    };
+    let initialize = initialized(&scene, false);
     if initialize.light {
         // All lights begin alike.
         let first = initial_lobes(&scene.light, None);

@@ -1,5 +1,5 @@
 //! An object: its surface, material and light, the photographs of it, and what is known of these, in
-//! one world. A scene file, a program and Python make one and call the same functions.
+//! one world. A scene file and a program make one and call the same functions.
 //!
 //! ```no_run
 //! use lobelia::prelude::*;
@@ -30,26 +30,28 @@ pub mod progress;
 pub mod save;
 pub(crate) mod shape;
 pub mod show;
+pub(crate) mod view_report;
 
 use crate::capture::{Capture, read_views};
 use crate::report::scores::{FrameTried, PlacementFound, Scores};
 use crate::scene::{
     Albedo, FitPass, Light, LightSource, LoadOptions, Material, Pass, PlacementLight, Scene, ShapePass,
-    Surface as SurfaceSpec, Views, Visibility, check_without_views, load,
+    Surface as SurfaceSpec, UnknownLight, Views, Visibility, check_without_views, load,
 };
 use crate::spawn::{
-    Made, SurfaceUse, insert_known_along, light::angles, load_light, make_surface, spawn, unknowns,
+    LoadedLight, Made, SurfaceUse, insert_known_along, light::angles, load_light, make_surface, spawn,
+    unknowns,
 };
 use crate::survey::open::OpenScene;
 use bevy_ecs::prelude::{Mut, Resource, World};
 use bevy_ecs::{schedule::ScheduleConfigs, system::ScheduleSystem};
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result, stop::Stop, stop::check_interrupted};
+use lobelia_geometry::error::{Error, Result, stop::Stop, stop::check_interrupted, stop::finish_stopping};
 use lobelia_geometry::{
     mesh::Surface, mesh::atlas::unwrap_mesh, mesh::triangles::Mesh, view::Split, view::ViewRecord,
 };
 use lobelia_solve::fit::run::{Done, FitPlugin, FitSummary, Initialize};
-use lobelia_solve::fit::{FramesTried, components::Unknowns};
+use lobelia_solve::fit::{FramesTried, ObjectTurned, components::Unknowns};
 use lobelia_solve::shade::frame::FramePlugin;
 use lobelia_solve::shape::run::{GeometryPlugin, keep_texel_count};
 use lobelia_solve::visibility::{ObjectVisibility, VisibilitySettings};
@@ -65,6 +67,7 @@ use progress::{Progress, Silent};
 use serde::{Deserialize, Serialize};
 use std::{path::Path, path::PathBuf, sync::Arc, time::Instant};
 use tracing::info_span;
+use view_report::warn;
 
 /// Most memory that shadows and reflections may be expected to take.
 const MOST_VISIBILITY_BYTES: usize = 4 << 30;
@@ -127,8 +130,10 @@ pub(crate) struct Chosen {
 pub struct ReconstructOptions {
     /// Width and height of the texture, in texels, 8 to 4096.
     pub texture_size: u32,
-    /// What is known of the light.
-    pub light: Light,
+    /// The light, if it is known.
+    pub light: Option<LoadedLight>,
+    /// SG lobes of a light that is not known, 1 to 2048.
+    pub lobes: u32,
     /// What is known of the material.
     pub material: Material,
     /// Shadows and reflections of the object on itself.
@@ -151,7 +156,8 @@ impl Default for ReconstructOptions {
     fn default() -> Self {
         Self {
             texture_size: 512,
-            light: Light::default(),
+            light: None,
+            lobes: 128,
             material: Material::default(),
             visibility: Visibility::default(),
             shape: None,
@@ -178,7 +184,11 @@ impl Object {
                 make_surface(spec, capture, SurfaceUse::UntilShape)
             })?;
             if !object.find_shape(&shape)? {
-                object.find(&fit)?;
+                match object.find(&fit) {
+                    // The shape stays.
+                    Err(Error::Interrupted) => finish_stopping(),
+                    found => drop(found?),
+                }
             }
             Ok(object)
         })
@@ -194,8 +204,8 @@ impl Object {
             let spec = SurfaceSpec::Mesh { path: PathBuf::new(), texture_size, own_material: false };
             let fit = options.fit.clone().unwrap_or_else(|| capture.fit_pass());
             let mut object = Self::of_capture(spec, vec![Pass::Fit(fit.clone())], capture, options, |_| {
-                let surface = Surface::new(unwrap_mesh(mesh, texture_size)?.mesh, texture_size)?;
-                Ok((surface, Vec::new()))
+                let unwrapped = unwrap_mesh(mesh, texture_size)?;
+                Ok((Surface::new(unwrapped.mesh, texture_size)?, unwrapped.note.into_iter().collect()))
             })?;
             object.find(&fit)?;
             Ok(object)
@@ -209,11 +219,17 @@ impl Object {
         options: &ReconstructOptions,
         make: impl FnOnce(&SurfaceSpec) -> Result<Made>,
     ) -> Result<Self> {
-        let ReconstructOptions { light, material, visibility, seed, progress, .. } = options.clone();
-        let mut scene = Scene { seed, surface, light, material, visibility, passes, ..capture.scene() };
-        check_without_views(&mut scene)?;
+        let ReconstructOptions { light, lobes, material, visibility, seed, progress, .. } = options.clone();
+        let light = light.map_or(Light::Unknown(UnknownLight { lobes }), |light| Light::Fixed(light.said()));
+        let scene = Scene { seed, surface, light, material, visibility, passes, ..capture.scene() };
+        check_without_views(&scene)?;
         let made = make(&scene.surface)?;
-        Self::of_scene(scene, made, capture.to_vec(), progress, false)
+        let mut object = Self::of_scene(scene, made, capture.to_vec(), progress, false)?;
+        capture.warnings().iter().for_each(|warning| warn(&mut object, warning.clone()));
+        if capture.is_turntable() {
+            object.pipeline.world.insert_resource(ObjectTurned);
+        }
+        Ok(object)
     }
 
     /// Opens an object that was saved, or that a scene file says in another way; no pass is run, and
@@ -222,7 +238,10 @@ impl Object {
     /// # Errors
     /// If the scene file or what it names cannot be read.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
-        let scene = load(path.as_ref(), &LoadOptions::default())?.scene;
+        let mut scene = load(path.as_ref(), &LoadOptions::default())?.scene;
+        if let Views::Photographed(spec) = &scene.views {
+            scene.views = Views::Cameras(photograph::ring(&spec.cameras, scene.up));
+        }
         let data = OpenScene::new(&scene)?;
         let (views, _) = read_views(&scene, data.as_ref(), &Silent)?;
         let made = make_surface(&scene.surface, &views, SurfaceUse::Lasting)?;
@@ -273,11 +292,7 @@ impl Object {
             world.insert_resource(truth);
         }
         check_cameras(&scene, &views, &surface)?;
-        let initialize = Initialize {
-            light: matches!(scene.light, Light::Unknown(_)),
-            albedo: matches!(scene.material.albedo, Albedo::Unknown),
-            specular: scene.material.specular.is_open(),
-        };
+        let initialize = initialized(&scene, scene.material.specular.is_open());
         let has_object = !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_)));
         let chosen = Chosen::default();
         let (several, normals_found, by_stereo) = (false, false, false);
@@ -420,6 +435,12 @@ impl Object {
         let several = Unknowns { blends: true, mono_specular: false, metal: true, ..found };
         if self.pipeline.world.resource::<Found>().several { several } else { found }
     }
+}
+
+/// What a first fit of a scene initializes from the data: what has no initial value.
+fn initialized(scene: &Scene, specular: bool) -> Initialize {
+    let light = matches!(scene.light, Light::Unknown(_));
+    Initialize { light, albedo: matches!(scene.material.albedo, Albedo::Unknown), specular }
 }
 
 /// Puts a surface that was found, or moved, in place of the one before. Visibility is traced again

@@ -13,7 +13,7 @@
 
 use crate::object::fit::log_step;
 use bevy_ecs::prelude::World;
-use lobelia_geometry::{Result, error::stop::Stop};
+use lobelia_geometry::{Result, error::stop::stop_this_work};
 use lobelia_solve::fit::run::FitProgress;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -48,8 +48,8 @@ pub trait Progress: Send + Sync {
     /// A pass begins: its name, its place among those of the run, from 1, and how many there are.
     fn pass(&self, _name: &str, _number: usize, _count: usize) {}
 
-    /// A step is done, with the state of the world after it. `Break` ends the work as its
-    /// [`Stop`] does: what was found stays.
+    /// A step is done, with the state of the world after it. `Break` ends the work as a
+    /// request to stop does: what was found stays.
     ///
     /// # Errors
     /// Its own, which end the fit as well.
@@ -74,7 +74,7 @@ pub(super) fn tell(
 ) -> Result<()> {
     log_step(world, [step, steps], fit);
     if to.step(&Step { pass, step, steps, fit }, world)?.is_break() {
-        Stop::current().ask();
+        stop_this_work();
     }
     Ok(())
 }

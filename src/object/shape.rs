@@ -8,7 +8,9 @@ use crate::scene::{GridLevel, ShapePass, Surface as SurfaceSpec};
 use crate::spawn::insert_known_along;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
-use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_stopping};
+use lobelia_geometry::error::{
+    Error, Result, stop::finish_stopping, stop::is_stopping, stop::was_asked_to_stop,
+};
 use lobelia_geometry::mesh::{Surface, atlas::unwrap_mesh, triangles::Mesh};
 use lobelia_geometry::{sdf::volume::SdfSurface, view::AlbedoMap};
 use lobelia_sg::accurate::Quality;
@@ -103,7 +105,7 @@ impl Object {
         self.scores().add_fit_secs(elapsed);
         let triangles = self.surface().mesh().triangles.len();
         self.print(&format!("{name}: {triangles} triangles in {elapsed:.1} s"));
-        Ok(stopped)
+        Ok(stopped || was_asked_to_stop())
     }
 }
 

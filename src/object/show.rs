@@ -28,10 +28,11 @@ use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 use std::sync::Arc;
 
 /// The name of edits and light that are of no pass.
-const SHOWN: &str = "shown";
+const SHOWN: &str = "shown now";
 
 /// An object as it is shown: with edits, under another light, by another shading. Systems are
-/// swapped in for that, and nothing is copied; when this is dropped, the object shows itself again.
+/// swapped in for that, and nothing is copied. When this is dropped, the slots of material, light
+/// and shading have again what an object begins with.
 pub struct Appearance<'a> {
     pub(crate) object: &'a mut Object,
     /// Name of the edits, and of the light, if it is not the object's own.
@@ -40,8 +41,9 @@ pub struct Appearance<'a> {
     /// The other light: the source that says it, if one does, or none of a light in memory.
     pub(super) relit: Option<Option<LightSource>>,
     settings: RenderSettings,
-    /// Whether systems were swapped in.
+    /// Whether systems were swapped in, and whether they are those of this appearance as it is now.
     is_in: bool,
+    is_current: bool,
 }
 
 impl Drop for Appearance<'_> {
@@ -59,7 +61,7 @@ impl Object {
     /// The object as it was found.
     pub fn shown(&mut self) -> Appearance<'_> {
         let (name, edits, settings) = (SHOWN.to_owned(), Vec::new(), RenderSettings::default());
-        Appearance { object: self, name, edits, relit: None, settings, is_in: false }
+        Appearance { object: self, name, edits, relit: None, settings, is_in: false, is_current: false }
     }
 
     /// The object as the pass with a name shows it, or as it was found.
@@ -72,6 +74,7 @@ impl Object {
                 relit: pass.light().map(|source| Some(source.clone())),
                 settings: pass.render().cloned().unwrap_or_default(),
                 is_in: false,
+                is_current: false,
                 object: self,
             },
             None => self.shown(),
@@ -92,13 +95,15 @@ impl Object {
         self.shown().edited(edits)
     }
 
-    /// Renders the object with the systems that are in the slots of frames: as it was found, if none
-    /// was swapped in.
+    /// Renders the object with the systems that are in the slots of pictures: as it was found, if
+    /// none was swapped in. Shadows and reflections are found for the first picture.
     ///
     /// # Errors
     /// The first error of a system.
     pub fn render(&mut self, camera: Camera) -> Result<Frame> {
-        self.swap_in_visibility(true)?;
+        if !self.pipeline.is_filled(Phase::Frame, Slot::Visibility) {
+            self.swap_in_visibility(true)?;
+        }
         Ok(resolve(&render_frame(&mut self.pipeline, camera, RenderSettings::default().samples_per_pixel)?))
     }
 
@@ -115,6 +120,7 @@ impl Appearance<'_> {
         let world = &mut self.object.pipeline.world;
         spawn_light(world, self.name.as_str(), &light.lobes, light.map.clone());
         self.relit = Some(light.source.clone());
+        self.is_current = false;
         self
     }
 
@@ -122,6 +128,7 @@ impl Appearance<'_> {
     #[must_use]
     pub fn edited<E: IntoIterator<Item = Edit>>(mut self, edits: impl IntoIterator<Item = E>) -> Self {
         self.edits.extend(edits.into_iter().flatten());
+        self.is_current = false;
         self
     }
 
@@ -129,6 +136,7 @@ impl Appearance<'_> {
     #[must_use]
     pub fn rendered_by(mut self, settings: RenderSettings) -> Self {
         self.settings = settings;
+        self.is_current = false;
         self
     }
 
@@ -137,7 +145,9 @@ impl Appearance<'_> {
     /// # Errors
     /// If an edit's texture cannot be read; the first error of a system.
     pub fn render(&mut self, camera: Camera) -> Result<Frame> {
-        self.swap_in()?;
+        if !self.is_current {
+            self.swap_in()?;
+        }
         let rays = camera_rays(&self.settings);
         Ok(resolve(&render_frame(&mut self.object.pipeline, camera, rays)?))
     }
@@ -170,7 +180,9 @@ impl Appearance<'_> {
         set_shading(&mut self.object.pipeline, &self.settings, seed);
         // The published formulas are for comparison and include neither shadows nor
         // interreflection; path tracing includes both itself.
-        self.object.swap_in_visibility(self.settings.shading == Shading::Accurate)
+        self.object.swap_in_visibility(self.settings.shading == Shading::Accurate)?;
+        self.is_current = true;
+        Ok(())
     }
 
     fn swap_in_material(&mut self) -> Result<()> {

@@ -8,8 +8,8 @@
 //! truth are named and read as the second half says.
 
 use crate::object::{Object, photograph::TrueObject};
+use crate::object::{view_report, view_report::outlier_share};
 use crate::pass::render::{ChosenView, chosen_views};
-use crate::pass::{view_report, view_report::outlier_share};
 use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{SheetRow, choose_evenly, write_sheet};
 use crate::scene::{EvaluatePass, LayerTruth, Pass, ScoreScale, Truth, TruthFiles, VIEW};

@@ -3,8 +3,8 @@
 
 use crate::object::fit::StepLog;
 use crate::object::save::{RGB, vector_channels, weight_channels, write_layers};
+use crate::object::view_report::csv_entry;
 use crate::object::{Object, photograph::TrueObject, progress::Step};
-use crate::pass::view_report::{csv_entry, note_fit};
 use crate::report::scores::ScaleFound;
 use crate::scene::{FitPass, ShapePass, Views};
 use bevy_ecs::prelude::{With, World};
@@ -19,8 +19,8 @@ use lobelia_io::codec::{envmap::write_map_exr, gltf::export::write_glb, png_file
 use lobelia_io::codec::{npy::NpyConvention, npy::write_lobes};
 use lobelia_sg::{ray::Hit, ray::Intersect};
 use lobelia_solve::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
+use lobelia_solve::fit::components::TexelSeen;
 use lobelia_solve::fit::exposure::{ExposureChoice, Exposures};
-use lobelia_solve::fit::{components::TexelSeen, roughness::TexelRoughness, run::FitSummary};
 use lobelia_solve::shape::field::SdfField;
 use lobelia_world::light::{EnvironmentMap, LightLobe, groups::all_lights, render_lobes};
 use lobelia_world::material::diffuse::{Diffuse, has_sheen};
@@ -47,10 +47,8 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &FitPass) -> Result<()>
     // Created first, so that an unwritable folder is detected before the fit.
     let folder = out.join(&pass.name);
     std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
-    let (summary, unseen) = object.find(pass)?;
+    let summary = object.find(pass)?;
     let _writing = info_span!("results written").entered();
-    note_fit(object);
-    report(object, &pass.name, &summary, unseen);
     let surface = object.surface();
     let scale = object.scores().scale.clone().unwrap_or_default();
     write_results(&mut object.pipeline.world, surface.atlas(), &folder, &scale)?;
@@ -61,42 +59,6 @@ pub(crate) fn run(object: &mut Object, out: &Path, pass: &FitPass) -> Result<()>
     write_bytes(&folder.join("log.csv"), log.as_bytes())?;
     write_views(object, out, &pass.name, pass.cameras)?;
     if summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
-}
-
-fn report(object: &mut Object, name: &str, summary: &FitSummary, unseen: usize) {
-    let world = &mut object.pipeline.world;
-    // One or two base materials completely, of more the range of roughness of the texels.
-    let lobes: Vec<SpecularLobe> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
-    let gloss: Vec<f32> = world.query::<&TexelRoughness>().iter(world).map(|gloss| gloss.roughness).collect();
-    let (low, high) = gloss.iter().fold((f32::INFINITY, 0f32), |(low, high), r| (low.min(*r), high.max(*r)));
-    let words = |roughness: String, [r, g, b]: [f32; 3]| {
-        format!("; roughness {roughness}, specular albedo ({r:.3}, {g:.3}, {b:.3})")
-    };
-    let material: String = match lobes.as_slice() {
-        [first, ..] if !gloss.is_empty() => words(format!("{low:.3} to {high:.3}"), first.albedo.to_array()),
-        all => all.iter().map(|l| words(format!("{:.3}", l.roughness), l.albedo.to_array())).collect(),
-    };
-    object.print(&format!(
-        "{name}: {} steps over {} pixels in {:.1} s{material}{}",
-        summary.steps,
-        summary.pixels,
-        summary.elapsed_secs,
-        if summary.stopped { " (stopped early)" } else { "" }
-    ));
-    if let Some(part) = summary.explained_by_sheen.map(|part| 100.0 * part) {
-        let world = &mut object.pipeline.world;
-        let found = with_columns::<TexelIndex, &Diffuse, _>(world, |texels| Ok(has_sheen(&texels)));
-        let words = if found.unwrap_or_default() { "a sheen" } else { "no sheen" };
-        let of = "of the squared error of views kept aside";
-        object.print(&format!("{name}: {words}: it explains {part:.1} % {of}"));
-    }
-    object.scores().determined = summary.determined;
-    if let Some(words) = summary.determined.and_then(|found| found.words()) {
-        object.print(&format!("{name}: determined by the photographs: {words}"));
-    }
-    if unseen > 0 {
-        object.progress().note(&format!("{unseen} texels that no view sees are filled from their neighbors"));
-    }
 }
 
 /// Writes the light, the albedo texture and the material (with blend weights, if it has several

@@ -19,6 +19,5 @@ pub(crate) mod fit;
 pub(crate) mod render;
 mod run;
 pub mod view;
-mod view_report;
 
 pub use run::{OwnPass, RunOptions, looks, memory, preflight, rehearse, run, summary, write_view};

@@ -28,6 +28,12 @@ pub struct LoadedLight {
 }
 
 impl LoadedLight {
+    /// What says it: its source, or its lobes.
+    pub(crate) fn said(self) -> LightSource {
+        let (lobes, scale, rotation_degrees) = (self.lobes, 1.0, Vec3::ZERO);
+        self.source.unwrap_or(LightSource::Lobes { lobes, scale, rotation_degrees })
+    }
+
     /// A light of lobes.
     pub fn of_lobes(lobes: Vec<LightLobe>) -> Self {
         Self { lobes, map: None, source: None, notes: Vec::new() }

@@ -15,7 +15,7 @@
 //! assert_eq!(sums[..4], [1, 2, 5, 10]);
 //! ```
 
-use crate::error::stop::Stop;
+use crate::error::stop::Work;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
@@ -183,8 +183,8 @@ fn gather<R: Send>(count: usize, grain: usize, of_part: &(dyn Fn(Range<usize>) -
 
 fn run(tasks: usize, task: &(dyn Fn(usize) + Sync)) {
     // What stops this thread's work stops its tasks, wherever they run.
-    let stop = Stop::current();
-    (0..tasks).into_par_iter().with_max_len(1).for_each(|k| stop.over(|| task(k)));
+    let work = Work::current();
+    (0..tasks).into_par_iter().with_max_len(1).for_each(|k| work.over(|| task(k)));
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //! the same bits.
 //!
 //! A plugin says which of its resources and components are state, by name ([`keep_resource`],
-//! [`keep_pool`], [`keep_keyed`], [`keep_each`]); all else is derived from these and from the scene
+//! [`keep_pool`], [`keep_keyed`], [`keep_each`], and [`keep_state`] for what more hangs on); all else is derived from these and from the scene
 //! by the code that a resumed run goes through again. State is saved at the end of each pass, and
 //! within a pass that takes long at the end of its parts, such as a level of a `Shape`. A part
 //! begins from nothing but state: a resumed run goes through the beginning of the pass, takes up

@@ -98,7 +98,7 @@ pub(crate) const METRICS: &str = "metrics.json";
 /// earlier run, if another run writes into the output folder, or if a run is to go on with
 /// something else than it was begun with.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn Progress>) -> Result<()> {
-    Stop::default().over(|| run_in_folder(loaded, options, progress))
+    Stop::current().over(|| run_in_folder(loaded, options, progress))
 }
 
 fn run_in_folder(loaded: &LoadedScene, options: &RunOptions, progress: Arc<dyn Progress>) -> Result<()> {

@@ -2,10 +2,12 @@
 //! or a missing ground truth is an error at the start, not after a long fit. `lobelia check` makes
 //! the same checks.
 
-use crate::object::{Object, export, photograph::ring, show::apply_edits, show::edits_of_nothing};
+use crate::object::{
+    Object, export, photograph::ring, show::apply_edits, show::edits_of_nothing, view_report::VIEWS,
+};
 use crate::pass::{
     evaluate::PARTS, evaluate::read_fitting, fit::TRUE_ENVIRONMENT, fit::light_files, render::FILM_FILES,
-    render::chosen_stems, render::chosen_views, view::PAGE, view_report::VIEWS,
+    render::chosen_stems, render::chosen_views, view::PAGE,
 };
 use crate::report::PassRecord;
 use crate::scene::{

@@ -2,10 +2,11 @@
 //! made of the run's files alone, so that the report of a run that goes on, of one that ended, and
 //! of several side by side are made in the same way.
 
+use crate::object::view_report::csv_entry;
 use crate::object::{fit::StepLog, progress::Step};
 use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
 use crate::pass::run::record::Record;
-use crate::pass::{evaluate::PARTS, run::METRICS, view::embedded, view_report::csv_entry};
+use crate::pass::{evaluate::PARTS, run::METRICS, view::embedded};
 use crate::report::html::{
     FitFinding, FitLog, PassViews, REPORT, ReportPicture, RunReport, ViewReport, html,
 };

@@ -11,7 +11,8 @@ pub(crate) use passes::uses_published;
 use crate::scene::{
     Albedo, AlbedoSource, CameraSpec, Dataset, Gloss, Light, LightFrameChoice, LightSource, Material,
     NdfChoice, Pattern, Photographed, PlacementLight, PlacementSpec, Roughness, Scene, Sheen, Specular,
-    SpecularAlbedo, Surface, Tilt, Views, Visibility, diagnostic::Problem, source::LoadOptions,
+    SpecularAlbedo, Surface, Tilt, Views, Visibility, diagnostic::Problem, load::options as ron_options,
+    source::LoadOptions,
 };
 use glam::Vec3;
 use lobelia_geometry::mesh::MAX_COORDINATE;
@@ -61,13 +62,16 @@ pub(super) fn check(scene: &mut Scene, base_dir: &Path, options: &LoadOptions) -
 }
 
 /// Checks what a program says of an object whose surface and photographs it has.
-pub(crate) fn check_without_views(scene: &mut Scene) -> Result<()> {
+pub(crate) fn check_without_views(scene: &Scene) -> Result<()> {
+    // Photographs stand for those that it has.
+    let views = ron_options().from_str(r#"Dataset(path: ".")"#).expect("the path is all that it must have");
+    let mut scene = Scene { views, ..scene.clone() };
     let (found, options) = (RefCell::default(), LoadOptions::default());
     let root = Place { path: String::new(), base_dir: Path::new(""), options: &options, found: &found };
     if let Surface::Mesh { texture_size, .. } | Surface::Unknown { texture_size, .. } = scene.surface {
         root.count("texture_size", texture_size, 8..=4096);
     }
-    values(&root, scene);
+    values(&root, &mut scene);
     let first = found.into_inner().problems.into_iter().next();
     first.map_or(Ok(()), |Problem { path, problem, expected, help }| {
         Err(Error::usage(format!("{path}: {problem}: {expected}"), help))

@@ -1,7 +1,7 @@
 //! How work is stopped from outside, and how it finds out.
 //!
 //! A signal is of the process: it stops the work of all threads, and is never taken back. A [`Stop`]
-//! is of one piece of work, an object being found: whoever has a clone of it may ask, from any
+//! stops the pieces of work that are done under it: whoever has a clone of it may ask, from any
 //! thread. Long loops ask [`is_stopping`], which answers for the work that their thread is at.
 //!
 //! ```
@@ -65,22 +65,28 @@ pub fn stopped_by() -> Option<StopSignal> {
     StopSignal::ALL.into_iter().find(|known| *known as u8 == signal)
 }
 
-/// Bits of a [`Stop`]: that it was asked for, and that the work has ended and only its results are
-/// written.
-const ASKED: u8 = 1;
-const FINISHING: u8 = 2;
-
-/// A request to stop a piece of work; clones are the same request.
+/// A request to stop; clones are the same request, and it is never taken back.
 #[derive(Clone, Debug, Default)]
 pub struct Stop(Arc<AtomicU8>);
 
-thread_local! {
-    /// The request that stops the work of this thread.
-    static CURRENT: RefCell<Stop> = RefCell::default();
+/// The work that a thread is at: what may stop it, and how far that is.
+#[derive(Clone, Default)]
+pub(crate) struct Work {
+    stop: Stop,
+    state: Arc<AtomicU8>,
 }
 
-/// Puts the request of the work around back.
-struct Around(Stop);
+/// Bits of the state of a piece of work: that it asked itself to stop, and that it has ended and
+/// only its results are written.
+const ASKED: u8 = 1;
+const FINISHING: u8 = 2;
+
+thread_local! {
+    static CURRENT: RefCell<Work> = RefCell::default();
+}
+
+/// Goes back to the work around.
+struct Around(Work);
 
 impl Drop for Around {
     fn drop(&mut self) {
@@ -88,39 +94,56 @@ impl Drop for Around {
     }
 }
 
-impl Stop {
-    /// The request that stops the work of this thread.
+impl Work {
+    /// The work of this thread.
     pub fn current() -> Self {
         CURRENT.with_borrow(Clone::clone)
     }
 
-    /// Asks the work to stop.
-    pub fn ask(&self) {
-        self.0.fetch_or(ASKED, Ordering::Relaxed);
+    /// Does a part of it on this thread.
+    pub fn over<T>(&self, part: impl FnOnce() -> T) -> T {
+        let _around = Around(CURRENT.replace(self.clone()));
+        part()
     }
 
-    /// Does work that this stops, with the loops of [`parallel`](crate::parallel) in it.
-    pub fn over<T>(&self, work: impl FnOnce() -> T) -> T {
-        let _around = Around(CURRENT.replace(self.clone()));
-        work()
+    fn was_asked(&self) -> bool {
+        let own = self.state.load(Ordering::Relaxed) & ASKED != 0;
+        own || self.stop.0.load(Ordering::Relaxed) != 0 || SIGNAL.load(Ordering::Relaxed) != 0
     }
 }
 
-/// Whether the work of this thread was asked to stop, by a signal or its [`Stop`].
+impl Stop {
+    /// The request that stops the work of this thread.
+    pub fn current() -> Self {
+        CURRENT.with_borrow(|work| work.stop.clone())
+    }
+
+    /// Asks all work under this to stop.
+    pub fn ask(&self) {
+        self.0.store(1, Ordering::Relaxed);
+    }
+
+    /// Does a piece of work that this stops, with the loops of [`parallel`](crate::parallel) in it.
+    pub fn over<T>(&self, work: impl FnOnce() -> T) -> T {
+        Work { stop: self.clone(), state: Arc::default() }.over(work)
+    }
+}
+
+/// Asks the work of this thread to stop, and no other.
+pub fn stop_this_work() {
+    CURRENT.with_borrow(|work| _ = work.state.fetch_or(ASKED, Ordering::Relaxed));
+}
+
+/// Whether the work of this thread was asked to stop: by a signal, its [`Stop`], or itself.
 pub fn was_asked_to_stop() -> bool {
-    let asked = CURRENT.with_borrow(|stop| stop.0.load(Ordering::Relaxed) & ASKED != 0);
-    asked || SIGNAL.load(Ordering::Relaxed) != 0
+    CURRENT.with_borrow(Work::was_asked)
 }
 
 /// Whether the work in progress is to stop. A loop over rows may leave the rest as they are then,
 /// if whoever called it asks [`check_interrupted`] before the rows are used.
 #[inline]
 pub fn is_stopping() -> bool {
-    let signal = SIGNAL.load(Ordering::Relaxed);
-    CURRENT.with_borrow(|stop| {
-        let own = stop.0.load(Ordering::Relaxed);
-        own & FINISHING == 0 && (own != 0 || signal != 0)
-    })
+    CURRENT.with_borrow(|work| work.was_asked() && work.state.load(Ordering::Relaxed) & FINISHING == 0)
 }
 
 /// Checks whether the work in progress is to stop.
@@ -135,6 +158,6 @@ pub fn check_interrupted() -> Result<()> {
 /// Marks the work as ended: results found until then can be written, and nothing stops that.
 pub fn finish_stopping() {
     if is_stopping() {
-        CURRENT.with_borrow(|stop| _ = stop.0.fetch_or(FINISHING, Ordering::Relaxed));
+        CURRENT.with_borrow(|work| _ = work.state.fetch_or(FINISHING, Ordering::Relaxed));
     }
 }

@@ -144,7 +144,7 @@ fn runaway(lobes: &[LightLobe], views: &[(ViewOutcome, ViewSum)]) -> Option<Stri
 }
 
 /// Share of outliers among the pixels of a view that count.
-pub(super) fn outlier_share(view: &EvalView, predicted: &[glam::Vec3]) -> Option<f64> {
+pub(crate) fn outlier_share(view: &EvalView, predicted: &[glam::Vec3]) -> Option<f64> {
     let counted = view.mask.iter().filter(|counts| **counts).count();
     let pairs = predicted.iter().zip(&view.truth).zip(&view.mask).filter(|(_, counts)| **counts);
     let outliers = pairs.filter(|((predicted, truth), _)| is_outlier(**predicted, **truth)).count();
@@ -156,7 +156,7 @@ type Outcomes = HashMap<Entity, (f64, Option<f64>)>;
 
 /// Adds scored views that no fit has told of, in place of those that an earlier `Evaluate` has told
 /// of, and writes the report of all views.
-pub(super) fn write(object: &mut Object, folder: &Path, scored: &Outcomes) -> Result<()> {
+pub(crate) fn write(object: &mut Object, folder: &Path, scored: &Outcomes) -> Result<()> {
     let found = silhouettes(object, |view, _| scored.contains_key(&view));
     let views = &mut object.scores().views;
     // Those of a fit say how many pixels it may visit.
