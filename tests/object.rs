@@ -140,6 +140,13 @@ fn what_cannot_work_is_one_clear_error() {
     let error = object.export("object.stl").unwrap_err();
     assert!(error.to_string().contains("object.stl") && error.help().unwrap().contains(".glb"), "{error}");
     assert!(Edit::metal("gold", 0.2).unwrap_err().help().unwrap().contains("#rrggbb"));
+    let camera = CAPTURE[0].camera;
+    let none = RenderSettings { samples_per_pixel: 0, ..RenderSettings::default() };
+    let error = object.shown().rendered_by(none).render(camera).unwrap_err();
+    assert!(error.to_string().contains("samples_per_pixel"), "{error}");
+    let error = object.edited([Edit::metal("#d4af37", f32::NAN).unwrap()]).render(camera).unwrap_err();
+    assert!(error.to_string().contains("edits.2.action"), "{error}");
+    assert!(object.render(camera).is_ok());
     let wrong =
         |options: ReconstructOptions| Object::reconstruct(&CAPTURE, &options).err().unwrap().to_string();
     let error = wrong(ReconstructOptions { texture_size: 4, ..options() });

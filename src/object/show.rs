@@ -2,6 +2,7 @@
 //! Compose and Frame, which are swapped; the recovered material and the own light do not change.
 
 use crate::object::{Object, ObjectSurface};
+use crate::scene::check_shown;
 use crate::scene::{ColorAction, Edit, Light, LightSource, Region, RenderSettings, ScalarAction, Shading};
 use crate::spawn::LoadedLight;
 use bevy_ecs::prelude::{Entity, World};
@@ -143,7 +144,8 @@ impl Appearance<'_> {
     /// Renders a picture, with the samples a pixel of the settings.
     ///
     /// # Errors
-    /// If an edit's texture cannot be read; the first error of a system.
+    /// If a value of the edits or settings makes no sense; if an edit's texture cannot be read; the
+    /// first error of a system.
     pub fn render(&mut self, camera: Camera) -> Result<Frame> {
         if !self.is_current {
             self.swap_in()?;
@@ -186,6 +188,7 @@ impl Appearance<'_> {
     }
 
     fn swap_in_material(&mut self) -> Result<()> {
+        check_shown(&self.edits, &self.settings)?;
         self.is_in = true;
         let Object { pipeline } = &mut *self.object;
         if self.edits.is_empty() {

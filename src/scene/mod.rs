@@ -29,5 +29,5 @@ pub use render::*;
 pub use source::LoadOptions;
 pub use source::fields;
 pub use validate::{MIN_ROUGHNESS, unknown_parts};
-pub(crate) use validate::{check_without_views, uses_published};
+pub(crate) use validate::{check_shown, check_without_views, uses_published};
 pub use views::*;

@@ -9,10 +9,10 @@ pub use passes::unknown_parts;
 pub(crate) use passes::uses_published;
 
 use crate::scene::{
-    Albedo, AlbedoSource, CameraSpec, Dataset, Gloss, Light, LightFrameChoice, LightSource, Material,
-    NdfChoice, Pattern, Photographed, PlacementLight, PlacementSpec, Roughness, Scene, Sheen, Specular,
-    SpecularAlbedo, Surface, Tilt, Views, Visibility, diagnostic::Problem, load::options as ron_options,
-    source::LoadOptions,
+    Albedo, AlbedoSource, CameraSpec, Dataset, Edit, Gloss, Light, LightFrameChoice, LightSource, Material,
+    NdfChoice, Pattern, Photographed, PlacementLight, PlacementSpec, RenderSettings, Roughness, Scene, Sheen,
+    Specular, SpecularAlbedo, Surface, Tilt, Views, Visibility, diagnostic::Problem,
+    load::options as ron_options, source::LoadOptions,
 };
 use glam::Vec3;
 use lobelia_geometry::mesh::MAX_COORDINATE;
@@ -66,12 +66,26 @@ pub(crate) fn check_without_views(scene: &Scene) -> Result<()> {
     // Photographs stand for those that it has.
     let views = ron_options().from_str(r#"Dataset(path: ".")"#).expect("the path is all that it must have");
     let mut scene = Scene { views, ..scene.clone() };
+    without_file(|root| {
+        if let Surface::Mesh { texture_size, .. } | Surface::Unknown { texture_size, .. } = scene.surface {
+            root.count("texture_size", texture_size, 8..=4096);
+        }
+        values(root, &mut scene);
+    })
+}
+
+/// Checks how a program shows an object.
+pub(crate) fn check_shown(edits: &[Edit], settings: &RenderSettings) -> Result<()> {
+    without_file(|root| {
+        passes::edits(root, &mut edits.to_vec());
+        passes::render(root, settings);
+    })
+}
+
+/// The first problem of values that no file says.
+fn without_file(check: impl FnOnce(&Place)) -> Result<()> {
     let (found, options) = (RefCell::default(), LoadOptions::default());
-    let root = Place { path: String::new(), base_dir: Path::new(""), options: &options, found: &found };
-    if let Surface::Mesh { texture_size, .. } | Surface::Unknown { texture_size, .. } = scene.surface {
-        root.count("texture_size", texture_size, 8..=4096);
-    }
-    values(&root, &mut scene);
+    check(&Place { path: String::new(), base_dir: Path::new(""), options: &options, found: &found });
     let first = found.into_inner().problems.into_iter().next();
     first.map_or(Ok(()), |Problem { path, problem, expected, help }| {
         Err(Error::usage(format!("{path}: {problem}: {expected}"), help))

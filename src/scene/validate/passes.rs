@@ -257,7 +257,7 @@ fn region(at: &Place, region: &mut Region) {
     at.not_negative("falloff", *falloff);
 }
 
-fn render(at: &Place, render: &RenderSettings) {
+pub(super) fn render(at: &Place, render: &RenderSettings) {
     at.count("samples_per_pixel", render.samples_per_pixel, 1..=1024);
     at.number("exposure", render.exposure, -20.0..=20.0);
     if let Shading::PathTraced { spp, max_bounces, .. } = render.shading {
