@@ -42,8 +42,8 @@ impl Capture {
     /// of at least twelve is.
     ///
     /// # Errors
-    /// If the folder is no data set, a photograph cannot be read, or what the photographs show
-    /// cannot work: black ones, inverted masks.
+    /// If the folder is no data set, it has neither masks nor a mesh, a photograph cannot be read, or
+    /// what the photographs show cannot work: black ones, inverted masks.
     pub fn read(folder: impl AsRef<Path>) -> Result<Self> {
         let folder = folder.as_ref();
         let path = folder.join("scene.ron");
