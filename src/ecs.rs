@@ -11,7 +11,7 @@
 //! | edits | [`EditName`], [`EditOrder`], [`EditTarget`], [`EditAction`], [`EditRegion`] |
 //! | rendering | [`spawn_object`], [`FramePlugin`], [`render_frame`], [`resolve`] |
 //! | shading | [`shade_closed_form`], [`ClosedForm`], [`Quality`], [`shade_path_traced`], [`PathTracing`], [`closed_form_shader`] |
-//! | shadows and interreflection | [`see_material`], [`see_material_of_step`], [`ShownMaterial`], [`ObjectVisibility`], [`VisibilitySettings`] |
+//! | shadows and interreflection | [`see_shown`], [`see_recovered`], [`see_recovered_of_step`], [`ObjectVisibility`], [`VisibilitySettings`] |
 //! | fitting | [`FitPlugin`], [`run_fit`], [`FitOptions`], [`Unknowns`], [`Initialize`], [`FitProgress`], [`FitSummary`] |
 //!
 //! The first page of the [crate] shows how they go together.
@@ -26,13 +26,12 @@ pub use lobelia_solve::fit::systems::closed_form_shader;
 pub use lobelia_solve::shade::frame::{FramePlugin, frame_material, render_frame, resolve};
 pub use lobelia_solve::shade::{PathTracing, shade_closed_form, shade_path_traced};
 pub use lobelia_solve::visibility::{
-    ObjectVisibility, VisibilitySettings, see_material, see_material_of_step,
+    ObjectVisibility, VisibilitySettings, see_recovered, see_recovered_of_step, see_shown,
 };
 pub use lobelia_world::light::lights::{LightChoice, LightName, LobeOf, provide_light, spawn_light};
 pub use lobelia_world::light::map_fit::{MapFit, fit_map};
 pub use lobelia_world::light::{convention::MapConvention, illuminate::MapLight, render_lobes};
 pub use lobelia_world::material::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget};
-pub use lobelia_world::material::material_source::ShownMaterial;
 pub use lobelia_world::material::shown::{Composition, recovered_changed, show_edited, show_recovered};
 pub use lobelia_world::material::{BaseMaterial, Shown, SpecularBlend, TexelIndex, Texels};
 pub use lobelia_world::pipeline::pool::{read_column, write_column};

@@ -207,7 +207,7 @@ fn shadows_are_computed_again_when_light_or_material_change_and_only_then() {
     let mut pipeline = studio(&day());
     pipeline.world.insert_resource(ObjectVisibility::new(&surface, VisibilitySettings::default()));
     pipeline.world.init_resource::<Refreshes>();
-    pipeline.swap(Phase::Frame, Slot::Visibility, see_material::<ShownMaterial>());
+    pipeline.swap(Phase::Frame, Slot::Visibility, see_shown());
     pipeline.add_systems(Phase::Frame, Stage::Gather, count_refreshes.after(Slot::Visibility));
     let refreshes = |pipeline: &mut Pipeline| {
         shoot(pipeline, front());

@@ -140,7 +140,7 @@ fn shadows_and_reflections_come_close_to_path_tracing() {
         let view = camera([0.6, 0.5, 0.8], 64);
         let plain = shoot(&mut pipeline, view);
         pipeline.world.insert_resource(ObjectVisibility::new(&surface, VisibilitySettings::default()));
-        pipeline.swap(Phase::Frame, Slot::Visibility, see_material::<ShownMaterial>());
+        pipeline.swap(Phase::Frame, Slot::Visibility, see_shown());
         let shadowed = shoot(&mut pipeline, view);
         pipeline.clear(Phase::Frame, Slot::Visibility);
         assert_eq!(shoot(&mut pipeline, view), plain, "taken out again, nothing of it stays");

@@ -48,12 +48,11 @@ use lobelia_solve::fit::{
     cameras::CameraUnknowns, components::TexelSeen, guard::check_numbers, guard::check_parameters,
 };
 use lobelia_solve::shape::{run::training_silhouettes, vertices::MovingMesh};
-use lobelia_solve::visibility::{ObjectVisibility, see_material, see_material_of_step};
+use lobelia_solve::visibility::{ObjectVisibility, see_recovered, see_recovered_of_step};
 use lobelia_world::checkpoint::{self, Span, is_due, keep_part, keep_resource, resume_part};
 use lobelia_world::light::groups::{entities_of_group, light_groups};
 use lobelia_world::light::{light_frame::OwnLightFrame, placement::LightGroup};
 use lobelia_world::material::diffuse::{Diffuse, KnownAlong, has_sheen, has_tilt, write_albedo};
-use lobelia_world::material::material_source::RecoveredMaterial;
 use lobelia_world::material::{
     BaseMaterial, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, first_material,
     recovered_materials, replace_materials, shown::recovered_material, texels_in_order,
@@ -461,7 +460,7 @@ pub(super) fn shader(shading: FitShading, quality: Quality) -> Shader {
 fn set_shading(object: &mut Object, pass: &FitPass) -> Result<()> {
     object.pipeline.set_shader(Phase::FitStep, shader(pass.shading, pass.quality));
     // The published formulas are for comparison and include neither shadows nor interreflection.
-    object.set_shadows(Phase::FitStep, pass.shading == FitShading::Accurate, see_material_of_step())
+    object.set_shadows(Phase::FitStep, pass.shading == FitShading::Accurate, see_recovered_of_step())
 }
 
 /// The settings of a fit that goes on from `done`, with its shading put in.
@@ -564,7 +563,7 @@ fn refine_texture(object: &mut Object, pass: &FitPass, options: &FitOptions) -> 
         replace_surface(&mut object.pipeline.world, surface);
     }
     object.pipeline.set_shader(Phase::Detail, shader(pass.shading, pass.quality));
-    let shadows = see_material::<RecoveredMaterial>();
+    let shadows = see_recovered();
     object.set_shadows(Phase::Detail, pass.shading == FitShading::Accurate, shadows)?;
     let tilt = object.scene().material.tilt == Tilt::Unknown;
     let bar = object.progress().bar(&pass.name, 100);

@@ -14,7 +14,7 @@ use lobelia_io::codec::texture::{read_texture, read_texture_mask};
 use lobelia_sg::shading::ClosedForm;
 use lobelia_solve::shade::frame::{frame_material, render_frame, resolve};
 use lobelia_solve::shade::{PathTracing, shade_closed_form, shade_path_traced};
-use lobelia_solve::visibility::see_material;
+use lobelia_solve::visibility::see_shown;
 use lobelia_world::light::lights::{
     LightChoice, named_light, own_lobes, own_map, provide_light, spawn_light,
 };
@@ -23,7 +23,6 @@ use lobelia_world::light::{LightLobe, illuminate::MapLight};
 use lobelia_world::material::edit::{
     EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit,
 };
-use lobelia_world::material::material_source::ShownMaterial;
 use lobelia_world::material::shown::{recovered_material, show_edited, show_recovered};
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 use std::sync::Arc;
@@ -110,7 +109,7 @@ impl Object {
 
     /// Swaps in shadows and reflections of frames, if they are wanted and the object has some.
     fn swap_in_visibility(&mut self, wanted: bool) -> Result<()> {
-        self.set_shadows(Phase::Frame, wanted, see_material::<ShownMaterial>())
+        self.set_shadows(Phase::Frame, wanted, see_shown())
     }
 }
 

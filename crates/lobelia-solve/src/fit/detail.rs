@@ -66,7 +66,7 @@ pub struct DetailOptions {
 }
 
 /// The systems of [`Phase::Detail`], with accurate closed-form shading, without shadows, until other
-/// systems are put into its slots ([`see_material`](crate::visibility::see_material) into
+/// systems are put into its slots ([`see_recovered`](crate::visibility::see_recovered) into
 /// [`Slot::Visibility`]).
 pub struct DetailPlugin;
 

@@ -206,7 +206,7 @@ pub struct FitSummary {
 
 /// The fit's systems: Adam on texels, light lobes and the specular lobe, with accurate closed-form
 /// shading, without shadows, until another shader is put in ([`Pipeline::set_shader`]) and
-/// [`see_material_of_step`](crate::visibility::see_material_of_step) into [`Slot::Visibility`].
+/// [`see_recovered_of_step`](crate::visibility::see_recovered_of_step) into [`Slot::Visibility`].
 pub struct FitPlugin;
 
 impl Plugin for FitPlugin {

@@ -2,7 +2,7 @@
 //! light that they reflect.
 //!
 //! They are there in a phase whose [`Slot::Visibility`](lobelia_world::pipeline::Slot::Visibility)
-//! is filled ([`see_material`], [`see_material_of_step`]), if the world has an
+//! is filled ([`see_shown`], [`see_recovered`], [`see_recovered_of_step`]), if the world has an
 //! [`ObjectVisibility`]; else all light reaches every point.
 //!
 //! Diffuse light has one factor per texel and lobe, interpolated at the point like albedo, so that
@@ -41,7 +41,7 @@ use lobelia_sg::shading::PointVisibility;
 use lobelia_world::light::placement::{GroupInTurn, LightGroup};
 use lobelia_world::light::{LightLobe, lights::IncidentLight};
 use lobelia_world::material::material_source::{
-    BaseMaterials, ColumnOf, Holds, MaterialSource, RecoveredMaterial, TexelColumns,
+    BaseMaterials, ColumnOf, Holds, MaterialSource, RecoveredMaterial, ShownMaterial, TexelColumns,
 };
 use lobelia_world::material::{Diffuse, SpecularBlend, SpecularLobe, Texels};
 use lobelia_world::pipeline::SystemResult;
@@ -60,15 +60,25 @@ pub use point_visibility::LobeRays;
 pub struct RefreshDue(pub bool);
 
 /// For [`Slot::Visibility`](lobelia_world::pipeline::Slot::Visibility): shadows and interreflection
-/// of a material, updated whenever it or the light has changed, if there is an
+/// of the shown material, updated whenever it or the light has changed, if there is an
 /// [`ObjectVisibility`].
-pub fn see_material<M: MaterialSource>() -> ScheduleConfigs<ScheduleSystem> {
+pub fn see_shown() -> ScheduleConfigs<ScheduleSystem> {
+    see_material::<ShownMaterial>()
+}
+
+/// [`see_shown`] for the recovered material.
+pub fn see_recovered() -> ScheduleConfigs<ScheduleSystem> {
+    see_material::<RecoveredMaterial>()
+}
+
+// Not for other crates: it would be compiled as they are, and their passes are not optimized.
+fn see_material<M: MaterialSource>() -> ScheduleConfigs<ScheduleSystem> {
     let refresh = refresh_visibility::<M>.run_if(light_or_material_changed::<M>);
     (refresh, gather_visibility::<false>).chain().distributive_run_if(resource_exists::<ObjectVisibility>)
 }
 
-/// [`see_material`] for the recovered material in a step of a fit, updated if [`RefreshDue`] is set.
-pub fn see_material_of_step() -> ScheduleConfigs<ScheduleSystem> {
+/// [`see_recovered`] in a step of a fit, updated if [`RefreshDue`] is set.
+pub fn see_recovered_of_step() -> ScheduleConfigs<ScheduleSystem> {
     let is_due = refresh_is_due.and_then(light_or_material_changed::<RecoveredMaterial>);
     let refresh = refresh_visibility::<RecoveredMaterial>.run_if(is_due);
     let systems = (take_turn, refresh, gather_visibility::<true>).chain();
