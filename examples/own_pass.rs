@@ -29,5 +29,5 @@ fn main() -> Result<()> {
     let own = vec![OwnPass { name: "depth".to_owned(), files, work: Arc::new(depth) }];
     let out = "out/examples/own_pass".into();
     let options = RunOptions { out, force: true, own, ..RunOptions::default() };
-    run(&loaded, &options, Arc::new(lobelia::object::progress::Silent))
+    run(&loaded, &options, Arc::new(lobelia::progress::Silent))
 }

@@ -11,12 +11,12 @@
 //! # Ok::<(), lobelia::Error>(())
 //! ```
 
-use crate::object::progress::{Progress, Silent};
+use crate::prepare::scene_file::scene_for;
+use crate::progress::{Progress, Silent};
 use crate::scene::{
     CameraSpec, FitPass, LoadOptions, Pass, Rates, Scene, ShapePass, Surface, Views, load::read,
 };
 use crate::survey::{Severity, Survey, open::OpenScene};
-use crate::{object::photograph::camera_of, prepare::scene_file::scene_for};
 use glam::Vec3;
 use lobelia_geometry::{Result, view::Camera, view::Split, view::ViewRecord};
 use lobelia_io::codec::nearby::natural_order;
@@ -201,6 +201,6 @@ pub(crate) fn read_views(
 
 /// Cameras without photographs.
 pub(crate) fn bare_views(specs: &[CameraSpec]) -> Result<Vec<ViewRecord>> {
-    let view = |of: &CameraSpec| Ok(ViewRecord::of_camera(of.name.clone(), of.split, camera_of(of)?));
+    let view = |of: &CameraSpec| Ok(ViewRecord::of_camera(of.name.clone(), of.split, of.camera()?));
     specs.iter().map(view).collect()
 }

@@ -36,6 +36,7 @@
 //! | [`mesh`], [`sdf`] | surfaces: triangles with a texel atlas; signed distance fields |
 //! | [`light`] | lobes, environment maps, named lights, and maps fitted by lobes |
 //! | [`material`] | texels, base materials, edits, and the material that is shown |
+//! | [`progress`] | what long work says, and who hears it |
 //! | [`spawn`] | from a scene, or from values in code, to entities |
 //! | [`pipeline`] | phases, stages, slots, plugins, and pools of entities as slices |
 //! | [`checkpoint`] | what a run goes on from after it was killed |
@@ -47,10 +48,10 @@
 //! | [`report`] | pictures, contact sheets, scores |
 //! | [`page`] | the page that shows the object in a browser |
 //! | [`survey`] | what of a data set cannot work, before a run |
+//! | [`prepare`] | from photographs without cameras to a data set and a scene file |
 //! | [`capture`] | photographs with cameras, as a program reads or makes them |
 //! | [`object`] | an object with its surface, material, light and photographs: how it is found and shown |
 //! | [`pass`] | the passes of a scene file |
-//! | [`prepare`] | from photographs without cameras to a data set and a scene file |
 //! | [`sg`] | the kernels under all of these, from the crate `lobelia-sg` |
 //! | [`error`] | the one error type |
 //!
@@ -74,6 +75,7 @@ pub mod page;
 pub mod pass;
 pub mod prelude;
 pub mod prepare;
+pub mod progress;
 pub mod report;
 pub mod scene;
 pub mod spawn;

@@ -13,8 +13,8 @@
 //! with these names are in [`capture`](crate::capture) and [`object`](crate::object).
 
 pub use crate::capture::Capture;
-pub use crate::object::progress::{Progress, Step};
 pub use crate::object::{Object, ReconstructOptions, show::Appearance};
+pub use crate::progress::{Progress, Step};
 pub use crate::scene::{Edit, FitPass, RenderSettings, ShapePass};
 pub use crate::spawn::LoadedLight as Light;
 pub use glam::Vec3;

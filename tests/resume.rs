@@ -2,7 +2,7 @@
 
 use crate::common::{self, AtStep, AtWork, Data, ENDLESS, Outcome, changed, colmap_scene, files_below, join};
 use crate::photos::photographs;
-use lobelia::object::progress::{Progress, Silent};
+use lobelia::progress::{Progress, Silent};
 use lobelia::{codec::gltf::export::write_glb, ecs::*, prelude::*};
 use serde_json::Value;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};

@@ -2,7 +2,7 @@
 //! changed nor written over.
 
 use crate::common::*;
-use lobelia::object::progress::Silent;
+use lobelia::progress::Silent;
 use serde_json::json;
 use std::process::{Command, Stdio};
 use std::{sync::Arc, time::Duration};

@@ -23,15 +23,15 @@
 //! its place, from the same light and albedo; then it goes back and takes the same steps as it is.
 //! Where cameras or vertices are fitted too, they move in the second half of the comparison only.
 
-use crate::object::{
-    Chosen, Object, initialized, progress::tell, replace_surface, show::apply_edits, view_report::note_fit,
-};
+use crate::object::{Chosen, Object, initialized, replace_surface, show::apply_edits, view_report::note_fit};
+use crate::progress::{Progress, Step};
 use crate::report::scores::{MaterialsTried, NdfTried, ScaleFound, given_up_words};
 use crate::scene::{FitPass, FitShading, Gloss, NdfChoice, Sheen, SpecularAlbedo, Tilt, uses_published};
 use crate::spawn::{initial_lobes, initial_specular, several_materials};
 use bevy_ecs::prelude::{Resource, With, World};
 use glam::{Vec2, Vec3};
-use lobelia_geometry::error::{Error, Result, stop::finish_stopping, stop::is_stopping};
+use lobelia_geometry::error::stop::{finish_stopping, is_stopping, stop_this_work};
+use lobelia_geometry::error::{Error, Result};
 use lobelia_geometry::mesh::{Surface, atlas::address, atlas::fill_uncovered};
 use lobelia_geometry::view::{Camera, Photograph, Split};
 use lobelia_sg::{accurate::Quality, brdf::Ndf, ray::TexelAddress, shading::ClosedForm, statistics::median};
@@ -749,8 +749,23 @@ fn forget_shadows(world: &mut World) {
     }
 }
 
+/// Logs and tells of a step, and asks the work of this thread to stop if that is the answer.
+pub(super) fn tell(
+    to: &dyn Progress,
+    pass: &str,
+    [step, steps]: [u32; 2],
+    fit: &FitProgress,
+    world: &mut World,
+) -> Result<()> {
+    log_step(world, [step, steps], fit);
+    if to.step(&Step { pass, step, steps, fit }, world)?.is_break() {
+        stop_this_work();
+    }
+    Ok(())
+}
+
 /// Adds a line to the log, if one is due after a step.
-pub(super) fn log_step(world: &mut World, [step, steps]: [u32; 2], at: &FitProgress) {
+fn log_step(world: &mut World, [step, steps]: [u32; 2], at: &FitProgress) {
     if !step.is_multiple_of(LOG_EVERY) && step != steps {
         return;
     }

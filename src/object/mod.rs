@@ -21,18 +21,17 @@
 //! | [`show`] | what is shown of it: with edits, under another light, by another shading |
 //! | [`save`], [`export`] | it as a scene file, and as a mesh for other programs |
 //! | `photograph` | photographs that an object takes of itself, from a truth |
-//! | [`progress`] | what it says on the way, and how that stops it |
 
 pub mod export;
 pub(crate) mod fit;
 pub(crate) mod photograph;
-pub mod progress;
 pub mod save;
 pub(crate) mod shape;
 pub mod show;
 pub(crate) mod view_report;
 
 use crate::capture::{Capture, read_views};
+use crate::progress::{Progress, Silent};
 use crate::report::scores::{FrameTried, PlacementFound, Scores};
 use crate::scene::{
     Albedo, FitPass, Light, LightSource, LoadOptions, Material, Pass, PlacementLight, Scene, ShapePass,
@@ -63,7 +62,6 @@ use lobelia_world::material::{SpecularBlend, SpecularLobe, recovered_materials, 
 use lobelia_world::pipeline::{Phase, Pipeline, Slot};
 use lobelia_world::sample::point::Scenery;
 use photograph::TrueObject;
-use progress::{Progress, Silent};
 use serde::{Deserialize, Serialize};
 use std::{path::Path, path::PathBuf, sync::Arc, time::Instant};
 use tracing::info_span;
@@ -147,7 +145,7 @@ pub struct ReconstructOptions {
     /// A request to stop, which another thread may make: what was found until then stays.
     pub stop: Stop,
     /// The receiver of messages and steps, which may end the work: [`Silent`], or a closure over
-    /// [`Step`](progress::Step)s.
+    /// [`Step`](crate::progress::Step)s.
     pub progress: Arc<dyn Progress>,
 }
 

@@ -3,7 +3,7 @@
 
 use crate::object::show::{apply_edits, camera_rays, set_shading, spawn_edits};
 use crate::scene::{CameraRing, CameraSpec, Edit, Pattern, Photographed, RenderSettings, Scene, Shading};
-use crate::{object::progress::Progress, spawn::LoadedLight, spawn::light::rotation, spawn::load_light};
+use crate::{progress::Progress, spawn::LoadedLight, spawn::light::rotation, spawn::load_light};
 use bevy_ecs::prelude::Resource;
 use glam::{Mat3, Vec3};
 use lobelia_geometry::view::{Frame, Photograph, Placement, Split, ViewRecord};
@@ -123,7 +123,7 @@ pub(crate) fn imagine(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewReco
     // The placements in turn.
     let rounds = spec.truth.rounds() as u32;
     let view = |(spec, placement): (CameraSpec, Placement)| {
-        let camera = camera_of(&spec)?;
+        let camera = spec.camera()?;
         let photograph = Some(Photograph::without_pixels(camera.width, camera.height));
         Ok(ViewRecord { photograph, placement, ..ViewRecord::of_camera(spec.name, spec.split, camera) })
     };
@@ -177,10 +177,6 @@ fn pattern_at(pattern: &Pattern, at: Vec3) -> Vec3 {
             colors.0.lerp(colors.1, (0.5 + 0.25 * (wave.x + wave.y * wave.z)).clamp(0.0, 1.0))
         }
     }
-}
-
-pub(crate) fn camera_of(spec: &CameraSpec) -> Result<Camera> {
-    Camera::look_at(spec.eye, spec.target, spec.up, spec.fov_degrees, spec.width, spec.height)
 }
 
 #[cfg(test)]

@@ -1,9 +1,8 @@
 //! The shape of an object: recovers an unknown surface from photographs and masks, and replaces the
 //! visual hull by it.
 
-use crate::object::{
-    Object, fit::begin_log, fit::shader, progress::Progress, progress::tell, replace_surface,
-};
+use crate::object::{Object, fit::begin_log, fit::shader, fit::tell, replace_surface};
+use crate::progress::Progress;
 use crate::scene::{GridLevel, ShapePass, Surface as SurfaceSpec};
 use crate::spawn::insert_known_along;
 use bevy_ecs::prelude::World;

@@ -4,7 +4,8 @@
 use crate::object::fit::StepLog;
 use crate::object::save::{RGB, vector_channels, weight_channels, write_layers};
 use crate::object::view_report::csv_entry;
-use crate::object::{Object, photograph::TrueObject, progress::Step};
+use crate::object::{Object, photograph::TrueObject};
+use crate::progress::Step;
 use crate::report::scores::ScaleFound;
 use crate::scene::{FitPass, ShapePass, Views};
 use bevy_ecs::prelude::{With, World};

@@ -2,10 +2,10 @@
 //! `show` swaps in, as views and as films, in which camera, light and material change.
 
 use crate::object::show::{camera_rays, show_placement};
-use crate::object::{Object, progress::Bar};
 use crate::scene::{
     Easing, LightSweep, MaterialSweep, Orbit, OrbitKey, Pass, RenderSettings, Shading, ViewChoice,
 };
+use crate::{object::Object, progress::Bar};
 use bevy_ecs::prelude::{Component, Entity, With, World};
 use glam::{Quat, Vec3};
 use image::RgbImage;

@@ -1,7 +1,7 @@
 //! Masks of the photographs, from one of several sources, each checked before it is used.
 
 use crate::prepare::work::{Program, Work, make_folder_of, remove};
-use crate::{object::progress::Progress, prepare::PrepareOptions, prepare::photographs::PhotographFile};
+use crate::{prepare::PrepareOptions, prepare::photographs::PhotographFile, progress::Progress};
 use image::{DynamicImage, GrayImage, metadata::Orientation};
 use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::image::{Gamma, image_header, read_image, read_mask};
@@ -240,7 +240,7 @@ fn by_command(
 mod tests {
     use super::*;
     use crate::prepare::tests::{disc, script};
-    use crate::{object::progress::Silent, prepare::photographs::list, prepare::photographs::place};
+    use crate::{prepare::photographs::list, prepare::photographs::place, progress::Silent};
     use image::{Luma, Rgba, RgbaImage};
     use std::fs;
     use tempfile::TempDir;

@@ -13,7 +13,7 @@ mod work;
 
 pub use masks::MaskSource;
 
-use crate::object::progress::Progress;
+use crate::progress::Progress;
 use colmap::Reconstruction;
 use lobelia_geometry::error::{Error, Result};
 use lobelia_io::{codec::file::lies_in, codec::file::write_bytes, dataset::Layout};

@@ -5,7 +5,7 @@
 //! program does the same, a photograph that EXIF turns is copied with that entry reset; its pixels
 //! stay as they are.
 
-use crate::{object::progress::Progress, prepare::work::make_folder_of};
+use crate::{prepare::work::make_folder_of, progress::Progress};
 use image::{ImageFormat, codecs::png::PngEncoder, metadata::Orientation};
 use lobelia_geometry::{Error, Result, error::stop::check_interrupted, parallel};
 use lobelia_io::codec::file::{read_bytes, read_folder};
@@ -233,7 +233,7 @@ fn unturned(path: &Path) -> Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::object::progress::{RecordedMessages, Silent};
+    use crate::progress::{RecordedMessages, Silent};
     use image::{ImageEncoder, RgbImage, Rgba, RgbaImage, codecs::jpeg::JpegEncoder};
     use std::sync::Arc;
     use tempfile::TempDir;

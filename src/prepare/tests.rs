@@ -2,7 +2,7 @@
 //! tests of its parts.
 
 use super::*;
-use crate::object::progress::{RecordedMessages, Silent};
+use crate::progress::{RecordedMessages, Silent};
 use crate::scene::{LoadOptions, load};
 use image::{Rgb, RgbImage};
 use lobelia_geometry::view::Split;

@@ -133,7 +133,7 @@ fn number<T: FromStr>(line: &str, name: &str) -> Option<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{object::progress::Silent, prepare::tests::fake_ffmpeg, prepare::tests::script};
+    use crate::{prepare::tests::fake_ffmpeg, prepare::tests::script, progress::Silent};
     use std::fs;
 
     fn planned(ffmpeg: PathBuf, frames: FrameCount) -> Result<Video> {

@@ -2,7 +2,7 @@
 //! what was done is not done again. And other programs at work: their output goes to log files that
 //! are read meanwhile, and Ctrl-C stops them.
 
-use crate::object::progress::Progress;
+use crate::progress::Progress;
 use lobelia_geometry::{Error, Result, error::stop::check_interrupted};
 use lobelia_io::codec::file::{FolderLock, is_there, read_folder, write_bytes};
 use std::path::{Path, PathBuf};
@@ -256,7 +256,7 @@ impl Drop for Running {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{object::progress::Silent, prepare::tests::script};
+    use crate::{prepare::tests::script, progress::Silent};
     use std::time::Instant;
 
     fn claim(out: &Path) -> Result<Work<'static>> {

@@ -2,7 +2,7 @@
 
 use crate::scene::{Edit, LightSource, fov_degrees, number, one, y_axis};
 use glam::Vec3;
-use lobelia_geometry::view::Split;
+use lobelia_geometry::{Result, view::Camera, view::Split};
 use lobelia_io::{codec::image::Gamma, dataset::Layout, dataset::Priors};
 use lobelia_world::{light::light_frame::LightFrame, material::SpecularLobe};
 use serde::{Deserialize, Serialize};
@@ -143,6 +143,12 @@ pub struct CameraSpec {
     /// The split this view belongs to. Default `Test`.
     #[serde(default = "test_split")]
     pub split: Split,
+}
+
+impl CameraSpec {
+    pub(crate) fn camera(&self) -> Result<Camera> {
+        Camera::look_at(self.eye, self.target, self.up, self.fov_degrees, self.width, self.height)
+    }
 }
 
 fn test_split() -> Split {

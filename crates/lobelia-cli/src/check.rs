@@ -3,10 +3,10 @@
 use super::start::{SceneArgs, ThreadArgs, load_options, start_threads};
 use super::terminal::print;
 use clap::Args;
-use lobelia::object::progress::{RecordedMessages, Silent};
 use lobelia::pass::memory::{usual_budget, within};
 use lobelia::pass::preflight::{check_outputs, check_sizes};
 use lobelia::pass::{looks, rehearse};
+use lobelia::progress::{RecordedMessages, Silent};
 use lobelia::scene::{LoadOptions, LoadedScene, Pass, Scene, Surface, Views, load, unknown_parts};
 use lobelia::survey::estimate::{Estimate, estimate};
 use lobelia::survey::open::{OpenScene, survey};

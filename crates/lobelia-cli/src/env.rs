@@ -16,7 +16,7 @@ use lobelia::sg::color::luminance;
 use lobelia::shade::frame::check_memory;
 use lobelia::spawn::light::{LightConventions, LightFile, check_lit, files_of, read_light, read_map};
 use lobelia::{
-    Error, Result, codec::npy::NpyConvention as Npy, error::stop::is_stopping, object::progress::Progress,
+    Error, Result, codec::npy::NpyConvention as Npy, error::stop::is_stopping, progress::Progress,
 };
 use std::{f64::consts::PI, fmt::Write as _, path::Path, path::PathBuf, time::Instant};
 

@@ -6,7 +6,7 @@ use super::terminal::{Terminal, print};
 use clap::Args;
 use lobelia::prepare::scene_file::scene_for;
 use lobelia::prepare::{FrameCount, MaskSource, Matching, PrepareOptions, prepare};
-use lobelia::{Error, Result, codec::file::write_bytes, dataset::Layout, object::progress::Progress};
+use lobelia::{Error, Result, codec::file::write_bytes, dataset::Layout, progress::Progress};
 use std::path::PathBuf;
 
 const EXAMPLES: &str = include_str!("help/prepare.txt").trim_ascii_end();

@@ -6,7 +6,7 @@ use clap::{ArgAction, Args};
 use lobelia::error::stop::is_stopping;
 use lobelia::scene::load;
 use lobelia::shade::device::ShadingDevice;
-use lobelia::{Result, object::progress::Progress, pass, pass::RunOptions, pass::memory::usual_budget};
+use lobelia::{Result, pass, pass::RunOptions, pass::memory::usual_budget, progress::Progress};
 use std::{path::Path, path::PathBuf, sync::Arc, time::Instant};
 
 /// Runs the passes of a scene file in their order.

@@ -2,7 +2,7 @@
 //! programs.
 
 use indicatif::{ProgressBar, ProgressStyle};
-use lobelia::object::progress::{Bar, Progress, Step};
+use lobelia::progress::{Bar, Progress, Step};
 use lobelia::{Error, Result, bevy_ecs::prelude::World};
 use serde::Serialize;
 use std::io::{ErrorKind, IsTerminal, Write};

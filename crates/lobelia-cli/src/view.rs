@@ -3,7 +3,7 @@
 use super::start::{ThreadArgs, refuse_foreign, start_threads};
 use super::terminal::Terminal;
 use clap::Args;
-use lobelia::object::progress::Progress;
+use lobelia::progress::Progress;
 use lobelia::scene::{LightSource, LoadOptions, LoadedScene, ViewPass, Views, load};
 use lobelia::{Error, Result, glam::Vec3, pass::view::PAGE, pass::write_view};
 use std::{path::Path, path::PathBuf, sync::Arc};

@@ -2,7 +2,7 @@
 //! and the machine that it works on.
 
 use crate::survey::{counted, estimate::estimate, estimate::memory};
-use crate::{object::progress::Progress, scene::Pass, scene::Scene};
+use crate::{progress::Progress, scene::Pass, scene::Scene};
 use lobelia_geometry::error::{Error, Result};
 use lobelia_geometry::view::look::ViewLook;
 use lobelia_sg::lanes::level_name;
@@ -186,7 +186,7 @@ impl Machine {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{object::progress::Silent, scene::LoadOptions, scene::load::read};
+    use crate::{progress::Silent, scene::LoadOptions, scene::load::read};
     use std::fs::{create_dir_all, write};
 
     #[test]

@@ -19,8 +19,8 @@ mod tests;
 
 use crate::object::Object;
 use crate::object::photograph::imagine;
-use crate::object::progress::{Progress, RecordedMessages, Step};
 use crate::pass::{evaluate, fit, render, view};
+use crate::progress::{Progress, RecordedMessages, Step};
 use crate::scene::{EvaluatePass, LightSource, Pass, Scene, ViewPass, Views, unknown_parts};
 use crate::spawn::{SurfaceUse, load_light, make_surface};
 use crate::survey::{Severity, Survey, open::OpenScene};

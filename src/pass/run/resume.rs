@@ -4,7 +4,7 @@
 //! beginning of the pass at work, unless that is the first, and `part.state` for the last part of
 //! it that was done. A file counts if it is whole and of this run.
 
-use crate::object::{Object, progress::Progress};
+use crate::{object::Object, progress::Progress};
 use crate::{scene::Scene, survey::open::OpenScene};
 use lobelia_geometry::error::{Error, Result, stop::check_interrupted};
 use lobelia_geometry::parallel;
@@ -269,7 +269,7 @@ pub(super) fn check_no_link(folder: &Path) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::object::progress::Silent;
+    use crate::progress::Silent;
 
     const RUN: u64 = 7;
 

@@ -3,7 +3,6 @@
 //! of several side by side are made in the same way.
 
 use crate::object::view_report::csv_entry;
-use crate::object::{fit::StepLog, progress::Step};
 use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
 use crate::pass::run::record::Record;
 use crate::pass::{evaluate::PARTS, run::METRICS, view::embedded};
@@ -11,6 +10,7 @@ use crate::report::html::{
     FitFinding, FitLog, PassViews, REPORT, ReportPicture, RunReport, ViewReport, html,
 };
 use crate::report::{PassRecord, RunState, scores::Scores, scores::aligned};
+use crate::{object::fit::StepLog, progress::Step};
 use crate::{pass::run::preflight::RUN, report::sheet::choose_evenly, scene::fields};
 use bevy_ecs::prelude::{Entity, World};
 use image::{Rgb, RgbImage, RgbaImage};

@@ -1,8 +1,8 @@
 //! Whole runs on a disk that fails: one error, what was written is whole, and the run goes on from
 //! there.
 
-use crate::object::progress::Silent;
 use crate::pass::{RunOptions, run, run::record::Record};
+use crate::progress::Silent;
 use crate::report::RunState;
 use crate::scene::{LoadOptions, LoadedScene, load};
 use lobelia_geometry::error::Error;

@@ -2,7 +2,7 @@
 //! the caller supplies a [`Progress`], which a closure over [`Step`]s is as well.
 //!
 //! ```
-//! use lobelia::object::progress::{Progress, Step};
+//! use lobelia::progress::{Progress, Step};
 //! use std::ops::ControlFlow;
 //!
 //! // Stops a fit after 300 steps; what was found until then stays.
@@ -11,9 +11,8 @@
 //! progress.print("a line of result, which the closure leaves out");
 //! ```
 
-use crate::object::fit::log_step;
 use bevy_ecs::prelude::World;
-use lobelia_geometry::{Result, error::stop::stop_this_work};
+use lobelia_geometry::Result;
 use lobelia_solve::fit::run::FitProgress;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -62,21 +61,6 @@ impl<F: Fn(&Step) -> ControlFlow<()> + Send + Sync> Progress for F {
     fn step(&self, at: &Step, _world: &mut World) -> Result<ControlFlow<()>> {
         Ok(self(at))
     }
-}
-
-/// Logs and tells of a step, and asks the work of this thread to stop if that is the answer.
-pub(super) fn tell(
-    to: &dyn Progress,
-    pass: &str,
-    [step, steps]: [u32; 2],
-    fit: &FitProgress,
-    world: &mut World,
-) -> Result<()> {
-    log_step(world, [step, steps], fit);
-    if to.step(&Step { pass, step, steps, fit }, world)?.is_break() {
-        stop_this_work();
-    }
-    Ok(())
 }
 
 /// The progress bar of a task.
