@@ -23,7 +23,6 @@ use crate::scene::{
 };
 use lobelia_geometry::{Error, Result};
 use lobelia_io::codec::file::{FileKind, MOST_TEXT, obstacle, read_text};
-use ron::extensions::Extensions;
 use std::path::{Path, PathBuf};
 
 /// A scene that was read and checked.
@@ -84,7 +83,7 @@ pub(crate) fn read(mut text: String, path: &Path, options: &LoadOptions) -> Resu
 /// [`Error::Run`] if a path is not UTF-8, which RON cannot say.
 pub fn to_ron(scene: &Scene) -> Result<String> {
     let config = ron::ser::PrettyConfig::new().depth_limit(6).struct_names(false);
-    let text = options().to_string_pretty(scene, config);
+    let text = ron_tree::options().to_string_pretty(scene, config);
     let text = text.map_err(|error| Error::run("writing the scene as RON", error.to_string()))?;
     // A variant with that name is written as a raw identifier; no field of a scene is an option of
     // such a type, so that both are read alike.
@@ -96,14 +95,8 @@ pub fn to_ron(scene: &Scene) -> Result<String> {
 /// # Errors
 /// As [`to_ron`].
 pub(crate) fn edit_to_ron(edit: &Edit) -> Result<String> {
-    let text = options().to_string(edit);
+    let text = ron_tree::options().to_string(edit);
     text.map_err(|error| Error::run("writing an edit as RON", error.to_string()))
-}
-
-/// The RON dialect of scene files.
-pub(crate) fn options() -> ron::Options {
-    ron::Options::default()
-        .with_default_extension(Extensions::IMPLICIT_SOME | Extensions::UNWRAP_VARIANT_NEWTYPES)
 }
 
 /// The scene and, for carets, its tree of ranges.
@@ -123,7 +116,7 @@ fn parse(words: &SceneText) -> Result<(Scene, Option<Node>)> {
         };
         return Err(words.problems(Some(root), vec![problem]));
     }
-    match (options().from_str::<Scene>(words.text), root) {
+    match (ron_tree::options().from_str::<Scene>(words.text), root) {
         (Ok(scene), root) => Ok((scene, root.ok())),
         (Err(error), Ok(root)) => Err(words.shape(&root, &error)),
         (Err(_), Err(error)) => Err(words.syntax(&error)),

@@ -17,7 +17,7 @@ mod diagnostic;
 pub mod load;
 mod passes;
 mod render;
-mod ron_tree;
+pub(crate) mod ron_tree;
 mod source;
 mod validate;
 mod views;

@@ -9,7 +9,14 @@
 //! `passes.novel.render.exposure`, `passes.fit.rates.light`. Wrappers such as
 //! `Fixed(Map(scale: 2))` are looked through: `light.scale`.
 
+use ron::extensions::Extensions;
 use std::ops::Range;
+
+/// The RON dialect of scene files.
+pub(crate) fn options() -> ron::Options {
+    ron::Options::default()
+        .with_default_extension(Extensions::IMPLICIT_SOME | Extensions::UNWRAP_VARIANT_NEWTYPES)
+}
 
 /// Nesting beyond this is refused, so that hostile text cannot exhaust the stack.
 const MAX_DEPTH: usize = 100;

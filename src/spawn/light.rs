@@ -1,7 +1,7 @@
 //! The light that a scene describes, ready to shade with; and a light in a file of its own: the RON
 //! text that a scene has after `light: Fixed(`, `.npy` lobes, and maps.
 
-use crate::scene::{Light, LightSource, load::options};
+use crate::scene::{Light, LightSource, ron_tree::options};
 use glam::{EulerRot, Quat, Vec3};
 use lobelia_geometry::error::{Error, Result, stop::is_stopping};
 use lobelia_io::codec::npy::{NpyConvention, read_lobes, write_lobes};

@@ -12,7 +12,7 @@ use crate::scene::{
     Albedo, AlbedoSource, CameraSpec, Dataset, Edit, Gloss, Light, LightFrameChoice, LightSource, Material,
     NdfChoice, Pattern, Photographed, PlacementLight, PlacementSpec, RenderSettings, Roughness, Scene, Sheen,
     Specular, SpecularAlbedo, Surface, Tilt, Views, Visibility, diagnostic::Problem,
-    load::options as ron_options, source::LoadOptions,
+    ron_tree::options as ron_options, source::LoadOptions,
 };
 use glam::Vec3;
 use lobelia_geometry::mesh::MAX_COORDINATE;
