@@ -141,10 +141,14 @@ pub struct Gathered<'a, S: Simd> {
 }
 
 impl<'a, S: Simd> Gathered<'a, S> {
-    /// The lobes with these indices, at most a vector.
+    /// The lobes with these indices, at least one and at most a vector.
     #[inline(always)]
     pub fn new<M: PairModel>(simd: S, lobes: &[Row], index: &'a [f32]) -> Self {
-        let mut records = [[0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]; MAX_LANES];
+        // Where no lobe is, one that has values at this point: 0 times NaN is NaN.
+        let mut dark = [0.0; RECORD];
+        dark.copy_from_slice(record::<M>(lobes, index[0] as usize));
+        dark[4..7].fill(0.0);
+        let mut records = [dark; MAX_LANES];
         for (to, lobe) in records.iter_mut().zip(index) {
             to.copy_from_slice(record::<M>(lobes, *lobe as usize));
         }

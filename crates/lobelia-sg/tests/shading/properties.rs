@@ -86,6 +86,23 @@ fn adjoint(
     numbers
 }
 
+/// A vector of lobes has lanes without one. Those of the rule for smooth lobes had a broad lobe, around
+/// which directions are no unit vectors, so that this rough point had a gradient of 0 · NaN.
+#[test]
+fn lanes_without_a_lobe_add_nothing() {
+    let point = ShadePoint {
+        normal: [0.260_415_46, 0.770_149_3, -0.582_283_4],
+        to_viewer: [-0.784_849_46, 0.613_858_16, 0.084_791_11],
+        albedo: [0.163_871_97, 0.265_465_83, 0.271_713_08],
+    };
+    let material = SpecularValue { albedo: [0.041_443_19; 3], roughness: 0.739_726_9, ndf: Ndf::Sg };
+    let axis = [0.706_513_8, 0.650_160_25, 0.279_517_47];
+    let lobes = [Lobe { axis, sharpness: 181.838_01, amplitude: [3.090_958, 3.274_684, 3.785_63] }];
+    let form = (ClosedForm::default(), Ndf::Sg);
+    let numbers = adjoint(form, &point, &material, &lobes, shaded(form, &point, &material, &lobes));
+    assert!(numbers.iter().all(|x| x.is_finite()), "{numbers:?}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(1500))]
     #[test]
