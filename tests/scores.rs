@@ -113,7 +113,7 @@ fn outliers_are_those_of_the_picture_that_is_scored() {
 const TABLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/scores.ron");
 const HEAD: &str = "\
 // Scores of the runs that `tests/scores.rs` names. The same instruction set gives the same bits;
-// others may differ by 0.05 dB or degrees, or 0.0015 of what has no unit. Write the table again
+// others may differ by 0.15 dB or degrees, or 0.0015 of what has no unit. Write the table again
 // with `LOBELIA_BLESS=1 cargo test scores_are_those`, and say why it changed.
 ";
 

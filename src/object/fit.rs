@@ -662,7 +662,8 @@ fn take_steps(
     let atlas = surface.atlas();
     let place = |(at, covered): (&Vec3, &bool)| if *covered { *at } else { Vec3::NAN };
     let positions = atlas.position.iter().zip(&atlas.covered).map(place).collect();
-    object.pipeline.world.insert_resource(TexelPlaces { positions, progress: 0.0 });
+    let places = TexelPlaces { positions, neighbors: atlas.neighbors(), progress: 0.0 };
+    object.pipeline.world.insert_resource(places);
     let moves_cameras = pass.cameras != CameraUnknowns::Given;
     let moves_vertices = pass.vertices && !object.found().normals_found && !object.found().by_stereo;
     let world = &mut object.pipeline.world;

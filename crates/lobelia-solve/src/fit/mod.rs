@@ -12,6 +12,7 @@
 //! | [`detail`] | albedo, sheen and tilt of a finer texture, from all pixels |
 //! | [`scale`], [`exposure`], [`cameras`], [`placements`] | further unknowns: the scale between light and albedo, exposures, cameras, how an object lies that was turned over |
 //! | `groups` | lights of several groups of photographs, which take turns |
+//! | `neighbors` | the prior of the albedo: neighboring texels have the same paint, but at edges |
 //! | [`priors`] | what somebody else says of albedo and normals |
 //! | [`guard`] | steps that are not finite and are not taken |
 //! | [`determined`] | how well the photographs determine what was found |
@@ -27,6 +28,7 @@ pub mod guard;
 mod initialization;
 pub mod loss;
 pub mod metal;
+mod neighbors;
 pub mod observe;
 pub mod placements;
 pub mod priors;

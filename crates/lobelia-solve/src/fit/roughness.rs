@@ -31,12 +31,14 @@ pub struct BlendGradient(pub PerMaterial);
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BlendMoments(pub Moments<MAX_SPECULAR_LOBES>);
 
-/// Positions of the texels, for the lattice over which their gradients are averaged. Blends move
-/// only if every texel has a position.
+/// Where texels are on the surface. Blends move, and albedo has its prior, only if every texel has a
+/// position.
 #[derive(Resource, Default)]
 pub struct TexelPlaces {
     /// World position of each texel; not finite for texels that no surface point reaches.
     pub positions: Vec<Vec3>,
+    /// Pairs of neighbors ([`TexelAtlas::neighbors`]).
+    pub neighbors: Vec<[u32; 2]>,
     /// Completed fraction of the fit, in [0, 1].
     pub progress: f32,
 }
@@ -190,9 +192,6 @@ const STEP: f32 = 0.405_465_1;
 const FIRST_SHARE: f32 = 0.8;
 /// The prior is quadratic for differences of logarithms well below this, and linear above.
 const KINK: f32 = 0.02;
-/// Neighbors in the texture are neighbors on the surface if their distance is below this many mean
-/// distances.
-const NEAR: f32 = 3.0;
 
 /// Roughness of a texel.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -267,21 +266,9 @@ pub struct RoughnessPrior {
 }
 
 impl RoughnessPrior {
-    /// The prior for the texels of an atlas: neighbors are side by side in the texture and near
-    /// each other on the surface.
+    /// The prior for the texels of an atlas.
     pub fn new(atlas: &TexelAtlas, smoothness: f32, color_width: f32, varied_specular: bool) -> Self {
-        let (width, height) = (atlas.width as usize, atlas.height as usize);
-        let all = (0..width * height).flat_map(|i| {
-            let right = (i % width + 1 < width).then_some([i, i + 1]);
-            let down = (i + width < width * height).then_some([i, i + width]);
-            [right, down].into_iter().flatten()
-        });
-        let covered: Vec<[usize; 2]> = all.filter(|[a, b]| atlas.covered[*a] && atlas.covered[*b]).collect();
-        let distance = |[a, b]: &[usize; 2]| atlas.position[*a].distance(atlas.position[*b]);
-        let mean = covered.iter().map(distance).sum::<f32>() / covered.len().max(1) as f32;
-        let near = covered.iter().filter(|pair| distance(pair) < NEAR * mean);
-        let neighbors = near.map(|[a, b]| [*a as u32, *b as u32]).collect();
-        Self { smoothness, color_width, varied_specular, neighbors }
+        Self { smoothness, color_width, varied_specular, neighbors: atlas.neighbors() }
     }
 }
 

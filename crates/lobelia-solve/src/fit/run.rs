@@ -16,6 +16,7 @@ use crate::fit::guard::{
 };
 use crate::fit::initialization::initialize_light_and_albedo;
 use crate::fit::loss::{Loss, LossSums, ViewSums, count_pool, sum_by_view};
+use crate::fit::neighbors::hold_to_neighbors;
 use crate::fit::observe::{
     PixelChoice, make_pool, release_pool, spawn_samples, take_observations, trace_pixels,
 };
@@ -226,7 +227,7 @@ impl Plugin for FitPlugin {
         let exposures = find_exposures.run_if(step_is_sound);
         let residuals = (note_residuals, sum_by_view).chain().run_if(step_is_sound);
         let loss = (check_shading, exposures, compare_with_photographs, check_loss, residuals);
-        let scatter = (scatter_to_texels, scatter_to_sheen, scatter_to_blends);
+        let scatter = (scatter_to_texels, scatter_to_sheen, scatter_to_blends, hold_to_neighbors);
         // After a bad value all adjoints are zero, and are to remain so.
         let pull = pull_to_normal_maps.run_if(resource_exists::<NormalWeight>.and_then(step_is_sound));
         let adjoints = (check_adjoints, pull).chain().after(Slot::ShadingAdjoint).before(ScatterAdjoints);

@@ -7,6 +7,7 @@
 
 mod chart;
 mod fill;
+mod neighbors;
 mod pack;
 mod unwrap;
 
