@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Fits the objects of make.py with one thing at a time replaced by the truth, and prints a table.
 
-    python tests/objects/table.py PROGRAM FOLDER OUT [--only cavities,print] [--cases found,light] [--scene KEY=VALUE ...]
+    python tests/objects/table.py PROGRAM FOLDER OUT [--only cavities,print] [--cases found,light] [--scene 'visibility: None,']
 
 Cases: `found`, everything but the mesh unknown; `light`, under the true light. Columns are PSNR in dB: held-out views; each other light; albedo;
 and `bias`, the closed form against the path tracer on the object that the case has found, in the held-out views.
@@ -18,7 +18,6 @@ PASSES = """
     Fit(name: "fit"), Render(name: "novel"), Render(name: "traced", render: (shading: PathTraced(spp: 256, max_bounces: 6, map: false))),
     {relights}
     Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs), {truths}], albedo: Folder("$DATA/test/gt")),
-    Save(name: "saved"),
 """
 
 
