@@ -54,25 +54,9 @@ fn refusal(pipeline: &mut Pipeline) -> String {
     render_frame(pipeline, front(), 1).map(|_| ()).unwrap_err().to_string()
 }
 
-/// The picture of the studio that nothing changed.
-fn by_day() -> Frame {
-    shoot(&mut studio(&day()), front())
-}
-
 fn texel(world: &mut World, number: u32) -> Entity {
     let mut query = world.query::<(Entity, &TexelIndex)>();
     query.iter(world).find(|(_, index)| index.0 == number).unwrap().0
-}
-
-#[test]
-fn a_marker_on_a_texel_does_not_change_a_picture() {
-    let mut pipeline = studio(&day());
-    for number in [517, 3] {
-        let texel = texel(&mut pipeline.world, number);
-        pipeline.world.entity_mut(texel).insert(Marked);
-        assert_eq!(shoot(&mut pipeline, front()), by_day());
-    }
-    assert_eq!(marked(&mut pipeline.world), [3, 517]);
 }
 
 fn marked(world: &mut World) -> Vec<u32> {
@@ -288,14 +272,6 @@ fn an_edit_of_ones_own_shows_the_sheen_and_tilt_that_it_leaves() {
     assert!(["albedo_along.exr", "albedo_tilt.exr"].iter().all(|file| folder.path().join(file).exists()));
     pipeline.swap(Phase::Compose, Slot::Material, show_recovered());
     assert_eq!(frame_material(&mut pipeline).unwrap(), plain);
-}
-
-#[test]
-fn rendering_and_fitting_that_are_added_twice_do_all_once() {
-    let mut twice = studio(&day());
-    twice.add_plugin(&FramePlugin);
-    assert_eq!(shoot(&mut twice, front()), by_day());
-    assert_eq!(found(fitted(|pipeline| _ = pipeline.add_plugin(&FitPlugin))), *PLAIN);
 }
 
 #[test]

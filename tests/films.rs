@@ -3,8 +3,6 @@
 
 use crate::common::{Data, GRAY_SPHERE, Outcome, camera, command, day, files_below, is_temporary, studio};
 use image::RgbImage;
-use lobelia::codec::exr_frame::{write_frame, write_frame_rows};
-use lobelia::codec::tone::{Backdrop, Picture, write_png_rows};
 use lobelia::shade::frame::{band_rows, frame_bytes, render_bands};
 use lobelia::{ecs::*, prelude::*};
 
@@ -168,31 +166,6 @@ fn bands_have_the_bits_of_the_whole_picture() {
                 let bands = in_bands(&mut pipeline, camera, samples, rows);
                 assert!(bands == whole, "traced {path_traced}, {samples} samples, {rows} rows");
             }
-        }
-    }
-}
-
-#[test]
-fn files_of_bands_have_the_bytes_of_files_of_the_whole() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| folder.path().join(name);
-    let (mut pipeline, camera, look) = (studio(&day()), view(19, 23), Look::default());
-    let whole = resolve(&render_frame(&mut pipeline, camera, 4).unwrap());
-    write_frame(path("whole.exr"), &whole).unwrap();
-    save_png(path("whole.png"), &whole, &look).unwrap();
-    for rows in [1, 3, 7] {
-        write_frame_rows(path("bands.exr"), [19, 23], |layers| {
-            write_png_rows(path("bands.png"), [19, 23], true, |colors| {
-                render_bands(&mut pipeline, camera, 4, rows, &mut |_, _, band| {
-                    layers.push(band)?;
-                    colors.push(&Picture::of(band).samples8(&look, Backdrop::Transparent)?)
-                })
-            })
-        })
-        .unwrap();
-        for kind in ["exr", "png"] {
-            let bytes = |name: &str| std::fs::read(path(name).with_extension(kind)).unwrap();
-            assert!(bytes("bands") == bytes("whole"), "{kind} of {rows} rows");
         }
     }
 }

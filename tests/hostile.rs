@@ -4,7 +4,6 @@
 
 use crate::common::{self, *};
 use image::{DynamicImage, GrayImage, Luma};
-use serde_json::json;
 use std::process::{Command, Stdio};
 use std::{sync::mpsc::channel, time::Duration};
 
@@ -131,19 +130,6 @@ fn pipes_devices_and_broken_links() {
 }
 
 #[test]
-fn light_files_of_numbers() {
-    let folder = with_scene(small(LIGHT, r#"Npy(path: "light.npy")"#));
-    let head =
-        b"\x93NUMPY\x01\x00\x43\x00{'descr': '<f4', 'fortran_order': False, 'shape': (1000000000, 7)}\n";
-    folder.write("light.npy", [&head[..], &[0; 28]].concat());
-    let words = "has 1000000000 rows, and a light has at most 2048 lobes";
-    refuse_run(&folder, &["light.npy", words]);
-    refuses(&folder, &["env", "info", "light.npy"], &["light.npy", words]);
-    write_sparse(&folder, "light.npy", 100 << 30);
-    refuse_run(&folder, &["light.npy", "at most 256.0 MiB are read"]);
-}
-
-#[test]
 fn maps_without_light_or_with_too_much() {
     let map = r#"Map(path: "below.hdr", lobes: 2, scale: 1e30)"#;
     let folder = with_scene(small(LIGHT, map));
@@ -245,19 +231,6 @@ fn nan_and_infinite_pixels_are_repaired_counted_and_reported() {
         let picture = data.exr(format!("out/novel/{view}.exr"));
         assert!(picture.channels.values().flatten().all(|v| v.is_finite()));
         assert!(picture.channels["R"].iter().any(|v| *v > 0.05), "the object is there");
-    }
-}
-
-#[test]
-fn cameras_that_are_singular_inside_the_object_or_of_another_size() {
-    let identity = json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0.1, 0, 0, 0, 1]);
-    let flat = json!([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 3, 0, 0, 0, 1]);
-    for (name, key, value, words) in [
-        ("rgb_000004.exr", "img_size", json!([12, 24]), ["24×24", "12×24"]),
-        ("rgb_000003.exr", "W2C", identity, ["rgb_000003", "inside the object"]),
-        ("rgb_000002.exr", "W2C", flat, ["cam_dict_norm.json", "W2C is singular"]),
-    ] {
-        refused(|data| data.change_cameras("train", |cameras| cameras[name][key] = value), &words);
     }
 }
 

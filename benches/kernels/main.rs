@@ -2,13 +2,12 @@
 //!
 //! `hot` works on the same points again and again; `cold` on points whose memory was last touched
 //! [`POOL_POINTS`] points ago, which is more than caches hold. Times are for [`POINTS`] points ×
-//! [`LOBES`] lobes (or [`exp::VALUES`] values); for nanoseconds per pair over many sizes see
+//! [`LOBES`] lobes; for nanoseconds per pair over many sizes see
 //! `lobelia bench`.
 
 // Criterion makes public functions.
 #![allow(missing_docs)]
 
-mod exp;
 mod plain;
 mod pool;
 mod shading;
@@ -56,6 +55,6 @@ fn short() -> Criterion {
 criterion_group! {
     name = kernels;
     config = short();
-    targets = shading::forward, shading::adjoint, exp::exp, pool::pool
+    targets = shading::forward, shading::adjoint, pool::pool
 }
 criterion_main!(kernels);

@@ -1,14 +1,5 @@
 //! Near-uniform directions. Lobes on them, as sharp as their number asks for, are the start of an
 //! unknown light.
-//!
-//! ```
-//! use glam::Vec3;
-//! use lobelia_sg::fibonacci::fibonacci_axes;
-//!
-//! let axes = fibonacci_axes(128);
-//! assert!(axes.iter().all(|axis| (axis.length() - 1.0).abs() < 1e-6));
-//! assert!((axes.iter().sum::<Vec3>() / 128.0).length() < 0.01);
-//! ```
 
 use glam::Vec3;
 

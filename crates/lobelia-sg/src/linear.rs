@@ -1,16 +1,6 @@
 //! Linear systems: a Cholesky solver and non-negative least squares for dense matrices, and
 //! conjugate gradients for matrices that are known by their products. Dense matrices are stored row
 //! by row; sums are in `f64`.
-//!
-//! ```
-//! use lobelia_sg::linear::{cholesky, solve_factored};
-//!
-//! let mut matrix = [4.0, 2.0, 2.0, 3.0];
-//! let mut x = [10.0, 9.0];
-//! assert!(cholesky(&mut matrix, 2));
-//! solve_factored(&matrix, &mut x);
-//! assert!((x[0] - 1.5).abs() < 1e-12 && (x[1] - 2.0).abs() < 1e-12);
-//! ```
 
 use crate::dispatch;
 use fearless_simd::prelude::*;

@@ -1,17 +1,5 @@
 //! Rays, hits, and the two interfaces of a scene: intersection of rays with the surface, and
 //! incident light. A surface or a light of your own implements one of them.
-//!
-//! ```
-//! use lobelia_sg::color::luminance;
-//! use lobelia_sg::light::{LightLobe, illuminate::LobeLight, lobes_power};
-//! use lobelia_sg::ray::Illuminate;
-//!
-//! let lobes = LightLobe::even(8);
-//! let sample = LobeLight::new(&lobes).sample([0.3, 0.6, 0.1]);
-//! // Directions are drawn in proportion to radiance, so that each sample tells the whole power.
-//! let power = luminance(sample.radiance) / sample.pdf;
-//! assert!((power / luminance(lobes_power(&lobes).as_vec3()) - 1.0).abs() < 1e-3);
-//! ```
 
 use glam::{Vec2, Vec3};
 

@@ -1,13 +1,4 @@
 //! Order statistics of few values. Values are finite and are reordered in place.
-//!
-//! ```
-//! use lobelia_sg::statistics::{median, quantile};
-//!
-//! let mut values = [3.0, 1.0, 2.0, 5.0, 4.0];
-//! assert_eq!(median(&mut values), Some(3.0));
-//! assert_eq!(quantile(&mut values, 1.0), Some(5.0));
-//! assert_eq!(median(&mut []), None);
-//! ```
 
 /// The value below which a share of the values lies (nearest rank); `None` for no values. Values
 /// are finite; they are reordered.

@@ -92,15 +92,3 @@ fn a_run_on_a_disk_that_fails_anywhere_goes_on_when_there_is_room() {
     }
     assert!(failures >= 12, "{failures} runs failed");
 }
-
-#[test]
-fn a_run_of_few_bytes_at_a_time_is_the_same() {
-    let folder = tempfile::tempdir().unwrap();
-    let (loaded, whole) = (scene(folder.path()), folder.path().join("whole"));
-    run(&loaded, &options(&whole, false), Arc::new(Silent)).unwrap();
-    let slow = folder.path().join("slow");
-    let _read = Faulty::new(&slow, Call::Read, FileFault::Short(7));
-    let _write = Faulty::new(&slow, Call::Write, FileFault::Short(1000));
-    run(&loaded, &options(&slow, false), Arc::new(Silent)).unwrap();
-    assert!(results(&whole) == results(&slow));
-}

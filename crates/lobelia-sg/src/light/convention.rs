@@ -3,18 +3,6 @@
 //! All of them have up at the top and show the surroundings as seen from inside (not mirrored), so
 //! each is a rotation of the convention of this crate. `docs/src/conventions.md` has a picture and
 //! the sources.
-//!
-//! ```
-//! use glam::Vec3;
-//! use lobelia_sg::light::{EnvironmentMap, convention::MapConvention};
-//!
-//! // The middle of a map is +X in three.js, and +Z here.
-//! let middle = MapConvention::ThreeJs.turn() * EnvironmentMap::direction(0.5, 0.5);
-//! assert!(middle.distance(Vec3::X) < 1e-6);
-//! let map = EnvironmentMap::from_directions(8, 4, |direction| direction.abs());
-//! let own = MapConvention::ThreeJs.to_lobelia(map.clone());
-//! assert_eq!(MapConvention::ThreeJs.from_lobelia(own), map);
-//! ```
 
 use crate::light::EnvironmentMap;
 use glam::{Mat3, Quat, Vec3};

@@ -1,16 +1,5 @@
 //! The latitude-longitude grid: directions and solid angles of texels, and interpolation. The top
 //! row lies around +Y, the left edge toward −Z and the middle toward +Z.
-//!
-//! ```
-//! use glam::Vec3;
-//! use lobelia_sg::light::EnvironmentMap;
-//!
-//! let above = |direction: Vec3| if direction.y > 0.0 { Vec3::ONE } else { Vec3::ZERO };
-//! let sky = EnvironmentMap::from_directions(64, 32, above);
-//! // Half of the sphere has a radiance of one.
-//! assert!((sky.power().x - std::f64::consts::TAU).abs() < 1e-9);
-//! assert!(EnvironmentMap::direction(0.5, 0.5).distance(Vec3::Z) < 1e-6);
-//! ```
 
 use crate::light::lobe::MAX_RADIANCE;
 use glam::{DVec3, Quat, Vec3};

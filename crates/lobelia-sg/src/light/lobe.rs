@@ -1,14 +1,5 @@
 //! One SG of light, and lists of them: radiance, power, rotation, checks. The radiance of a list is
 //! the sum over its lobes; it depends on the direction alone.
-//!
-//! ```
-//! use glam::{Quat, Vec3};
-//! use lobelia_sg::light::{LightLobe, lobes_radiance, rotate_lobes};
-//!
-//! let lobes = [LightLobe { axis: Vec3::X, sharpness: 5.0, amplitude: Vec3::new(1.0, 2.0, 3.0) }];
-//! let turned = rotate_lobes(&lobes, Quat::from_rotation_z(std::f32::consts::FRAC_PI_2));
-//! assert!(lobes_radiance(&turned, Vec3::Y).distance(lobes[0].amplitude) < 1e-4);
-//! ```
 
 use crate::fibonacci::{fibonacci_axes, spacing_sharpness};
 use crate::{published::Lobe, sg};

@@ -6,19 +6,6 @@
 //! and the least useful are removed; this repeats as long as the error decreases. Finally
 //! amplitudes change by the smallest amount that preserves the power of the map. There are no
 //! random numbers; results do not depend on the number of threads.
-//!
-//! ```
-//! use glam::Vec3;
-//! use lobelia_sg::light::{LightLobe, render_lobes};
-//! use lobelia_sg::map_fit::{MapFit, fit_map};
-//!
-//! let lamp = LightLobe { axis: Vec3::X, sharpness: 8.0, amplitude: Vec3::new(3.0, 2.0, 1.0) };
-//! let options = MapFit { working_width: 32, relocations: 2, ..MapFit::default() };
-//! let fit = fit_map(&render_lobes(&[lamp], 32, 16), 3, &options)?;
-//! assert!(fit.mse < 1e-2 * fit.mean_square);
-//! assert!(fit.power_ratio.iter().all(|ratio| (ratio - 1.0).abs() < 0.01));
-//! # Ok::<(), lobelia_sg::map_fit::MapFitError>(())
-//! ```
 
 mod gram;
 pub mod kernel;
