@@ -35,8 +35,6 @@ use std::{collections::HashMap, f32::consts::FRAC_1_PI, ops::Range};
 /// patches along it whose albedo has a factor.
 const CLUSTERS: f32 = 32.0;
 const PATCHES: f32 = 128.0;
-/// Most pixels that are looked at.
-const MOST_PIXELS: usize = 60_000;
 /// Most lobes of a light that count on their own; of more, those of near directions count as one.
 const MOST_LOBES: usize = 128;
 /// Step of the logarithms of specular albedo and roughness over which differences are taken.
@@ -112,13 +110,13 @@ fn gather_evidence(
     merged: &MergedLobes,
     texels: &[Vec3],
 ) -> Result<Option<Evidence>> {
-    let n = problem.observations.len().min(MOST_PIXELS);
+    let n = problem.observations.len();
     if n == 0 {
         return Ok(None);
     }
     let columns = LobeColumns::from_lobes(lobes.iter().map(Into::into));
     problem.refresh(&columns, texels);
-    let lit = problem.lit(0..n, &columns, |point| point.texels.blend(texels))?;
+    let lit = problem.lit(problem.observations, &columns, |point| point.texels.blend(texels))?;
     let (form, own) = (problem.known.form, problem.known.specular);
     let shade = |lobe: SpecularLobe| lit.shade(form, &lobe);
     let [less, more] = [-STEP, STEP].map(f32::exp);
@@ -141,7 +139,7 @@ fn gather_evidence(
         Sample { diffuse: Vec3::from(here[i].diffuse), residual, weight, by_global }
     };
     let samples: Vec<Sample> = (0..n).map(sample).collect();
-    let patches = patches(&problem.observations[..n], [CLUSTERS, PATCHES], problem.known.unknowns.albedo);
+    let patches = patches(problem.observations, [CLUSTERS, PATCHES], problem.known.unknowns.albedo);
     let shaded = ShadedSamples {
         form,
         points: &lit.points,

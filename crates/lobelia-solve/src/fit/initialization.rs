@@ -2,10 +2,13 @@
 //! albedo and uniform light.
 //!
 //! For fixed axes and sharpness, radiance is linear in the amplitudes of the lobes, and for fixed
-//! light it is linear in the albedo. Once the amplitudes of uniformly distributed lobes are known,
+//! light it is linear in the albedo. A light that were solved for as if the albedo were known would
+//! hardly leave the one that goes with it, so from the second round on a solve for light lets the
+//! albedo [follow](crate::fit::elimination). Once the amplitudes of uniformly distributed lobes are known,
 //! lobes with very little power are moved to resolve the bright parts: like split and merge in
 //! [`fit_map`](lobelia_world::light::map_fit), with photographs in place of the map.
 
+use crate::fit::elimination::{Paints, TexelSums};
 use crate::fit::{components::Unknowns, loss::radiance};
 use crate::shade::systems::{kernel_specular, turned};
 use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
@@ -29,24 +32,18 @@ use lobelia_world::{light::LightLobe, material::diffuse::write_albedo};
 use std::{borrow::Cow, f32::consts::FRAC_1_PI, ops::Range};
 use tracing::info_span;
 
-/// Most pixels in a solve for the amplitudes.
-const AMPLITUDE_PIXELS: usize = 6144;
-/// Most pixels in such a solve on a part of the surface.
-const PART_AMPLITUDE_PIXELS: usize = 2048;
+/// Pixels in a solve for the amplitudes, about, of texels of which each has all of its pixels.
+const AMPLITUDE_PIXELS: usize = 24_000;
+/// Pixels in such a solve on a part of the surface, about.
+const PART_AMPLITUDE_PIXELS: usize = 8000;
 /// Most pixels in a solve for the albedo…
 const ALBEDO_PIXELS: usize = 400_000;
 /// …or this many per texel, if that is more.
 const PIXELS_PER_TEXEL: usize = 4;
-/// Most pixels over which the error of an initialization is the mean.
-const ERROR_PIXELS: usize = 100_000;
 /// Pixels on the part of the surface that starts are tried on, about.
 const PART_PIXELS: usize = 60_000;
-/// Cells along the longest side of the object, of which that part has some.
-const PART_CELLS: f32 = 16.0;
 /// Rounds, each of light and then albedo.
 const ROUNDS: usize = 4;
-/// Rounds, after the first, that begin by moving faint lobes to bright regions.
-const MOVES: usize = 1;
 
 /// Points whose visibility is in memory at a time.
 const LIT_AT_ONCE: usize = 1 << 16;
@@ -88,7 +85,7 @@ pub(crate) struct Known {
     pub unknowns: Unknowns,
     /// The occlusion of the object.
     pub object: Option<ObjectVisibility>,
-    /// Whether [`part_of_surface`] is enough.
+    /// Whether [`of_some_texels`] is enough.
     pub in_part: bool,
     /// The only placement that is looked at.
     pub placement: Option<Placement>,
@@ -123,7 +120,7 @@ pub(crate) fn with_initialization<T>(
         let rest = &all[all.partition_point(|row| light(row) < number)..];
         &rest[..rest.partition_point(|row| light(row) == number)]
     };
-    let part = |all| in_part.then(|| part_of_surface(all)).flatten().map_or(Cow::Borrowed(all), Cow::Owned);
+    let part = |all| if in_part { Cow::Owned(of_some_texels(all, PART_PIXELS)) } else { Cow::Borrowed(all) };
     let parts: Vec<Cow<[Observation]>> = (0..lights).map(of_group).map(part).collect();
     let problem = |observations| {
         let known = Known { object: known.object.as_ref().map(ObjectVisibility::unlit), ..known };
@@ -142,7 +139,7 @@ fn alternate(
     for round in 0..ROUNDS {
         for (problem, lobes) in problems.iter_mut().zip(&mut *lights).filter(|_| unknowns.light) {
             check_interrupted()?;
-            if (1..=MOVES).contains(&round) {
+            if round == 1 {
                 move_lobes_to_the_light(lobes);
             }
             problem.solve_light(lobes, texels, round > 0)?;
@@ -163,25 +160,32 @@ fn alternate(
     Ok(())
 }
 
-/// The pixels on a part of the surface, about [`PART_PIXELS`]: all that see it, so that its texels
-/// are known as well as if all of the surface were looked at. `None` if there are not twice as many
-/// in all.
-fn part_of_surface(all: &[Observation]) -> Option<Vec<Observation>> {
-    let every = (all.len() / PART_PIXELS) as u32;
-    if every < 2 {
-        return None;
-    }
-    let (low, longest) = extent(all);
-    let side = longest / PART_CELLS;
-    let is_in = |observation: &Observation| {
-        let cell = ((observation.point.position - low) / side).as_uvec3();
-        let mixed = cell.x.wrapping_mul(0x9e37_79b1)
-            ^ cell.y.wrapping_mul(0x85eb_ca77)
-            ^ cell.z.wrapping_mul(0xc2b2_ae3d);
-        ((mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d) >> 12).is_multiple_of(every)
+/// The texel that a pixel shows most of.
+fn main_texel(pixel: &Observation) -> u32 {
+    let texels = &pixel.point.texels;
+    let most = (0..4).max_by(|a, b| texels.weights[*a].total_cmp(&texels.weights[*b]));
+    texels.indices[most.unwrap_or(0)]
+}
+
+/// About `most` pixels, in order of the texel that they show: all that see some texels, so that these
+/// are known as well as if all of the surface were looked at. All pixels, if they are not twice as
+/// many.
+fn of_some_texels(all: &[Observation], most: usize) -> Vec<Observation> {
+    let every = (all.len() / most) as u32;
+    let is_in = |pixel: &Observation| {
+        // Parts of a part are independent of it.
+        let mixed = (main_texel(pixel) ^ (most as u32) << 8).wrapping_mul(0x9e37_79b1);
+        every < 2 || ((mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d) >> 12).is_multiple_of(every)
     };
-    let part: Vec<Observation> = parallel::flat_map(all.len(), 4096, |i| is_in(&all[i]).then_some(all[i]));
-    (part.len() >= PART_PIXELS / 4).then_some(part)
+    let mut some: Vec<Observation> =
+        parallel::flat_map(all.len(), 4096, |i| is_in(&all[i]).then_some(all[i]));
+    // A surface of few texels has more pixels in each.
+    if some.len() < most / 4 {
+        some = all.to_vec();
+    }
+    some.truncate(2 * most);
+    some.sort_by_key(main_texel);
+    some
 }
 
 /// The lowest corner of the box around observed points, and its longest side, world units.
@@ -229,21 +233,23 @@ impl Initialization<'_> {
     fn solve_light(&mut self, lobes: &mut [LightLobe], texels: &[Vec3], is_lit: bool) -> Result<()> {
         let _solving = info_span!("light").entered();
         let most = if self.known.in_part { PART_AMPLITUDE_PIXELS } else { AMPLITUDE_PIXELS };
-        let n = self.observations.len().min(most);
+        let observations = of_some_texels(self.observations, most);
         let columns = LobeColumns::from_lobes(lobes.iter().map(Into::into));
         self.refresh(&columns, texels);
-        let lit = self.lit(0..n, &columns, |point| point.texels.blend(texels))?;
-        let observed = || self.observations[..n].iter().map(|observation| &observation.observed);
+        let lit = self.lit(&observations, &columns, |point| point.texels.blend(texels))?;
+        let shaded = lit.shade(self.known.form, &self.known.specular);
         // In clipped channels it should be more than that of the photographs, if the light until
         // now says so.
-        let targets: Vec<Vec3> = if is_lit && observed().any(|observed| observed.saturated) {
-            let shaded = lit.shade(self.known.form, &self.known.specular);
-            observed().zip(&shaded).map(|(observed, layers)| observed.target(radiance(layers))).collect()
-        } else {
-            observed().map(|observed| observed.radiance).collect()
+        let target = |(of, shaded): (&Observation, &Layers)| {
+            if is_lit { of.observed.target(radiance(shaded)) } else { of.observed.radiance }
         };
+        let targets: Vec<Vec3> = observations.iter().zip(&shaded).map(target).collect();
+        let diffuse: Vec<Vec3> = shaded.iter().map(|shaded| shaded.diffuse.into()).collect();
+        let diffuse = Some(diffuse.as_slice()).filter(|_| self.known.unknowns.albedo && is_lit);
         let specular = kernel_specular(&self.known.specular);
-        let amplitudes = solve_amplitudes(self.known.form, &lit.points, &targets, &specular, lit.lighting());
+        let form = self.known.form;
+        let amplitudes =
+            solve_amplitudes(form, &observations, &lit.points, &targets, diffuse, &specular, lit.lighting());
         for (lobe, amplitude) in lobes.iter_mut().zip(amplitudes) {
             lobe.amplitude = amplitude.max(Vec3::splat(1e-3));
         }
@@ -256,7 +262,8 @@ impl Initialization<'_> {
         self.refresh(&columns, texels);
         let mut unit = Vec::with_capacity(n);
         for start in (0..n).step_by(LIT_AT_ONCE) {
-            let white = self.lit(start..n.min(start + LIT_AT_ONCE), &columns, |_| Vec3::ONE)?;
+            let white =
+                self.lit(&self.observations[start..n.min(start + LIT_AT_ONCE)], &columns, |_| Vec3::ONE)?;
             unit.append(&mut white.shade(self.known.form, &self.known.specular));
         }
         Ok(unit)
@@ -271,14 +278,13 @@ impl Initialization<'_> {
         object.refresh(lobes, self.turns.all(), &of);
     }
 
-    /// The inputs of shading at a range of observed pixels, with this albedo.
+    /// The inputs of shading at these pixels, with this albedo.
     pub fn lit<'l>(
         &self,
-        run: Range<usize>,
+        observations: &[Observation],
         lobes: &'l LobeColumns,
         albedo: impl Fn(&SurfacePoint) -> Vec3 + Sync,
     ) -> Result<Lit<'l>> {
-        let observations = &self.observations[run];
         let viewer = |Observation { pixel, .. }: &Observation| {
             Ok(-self.cameras.of(pixel.view)?.pixel_ray(pixel.pixel).direction)
         };
@@ -301,19 +307,18 @@ impl Initialization<'_> {
         Ok(Lit { lobes, points, rows, seen })
     }
 
-    /// Mean absolute difference between the first observed pixels and what this light and albedo
-    /// show, over pixels and channels.
+    /// Mean absolute difference between the observed pixels and what this light and albedo show, over
+    /// pixels and channels.
     pub fn error(&self, lobes: &[LightLobe], texels: &[Vec3]) -> Result<f32> {
-        let n = self.observations.len().min(ERROR_PIXELS);
         let columns = LobeColumns::from_lobes(lobes.iter().map(Into::into));
-        let lit = self.lit(0..n, &columns, |point| point.texels.blend(texels))?;
+        let lit = self.lit(self.observations, &columns, |point| point.texels.blend(texels))?;
         let of = |(shaded, Observation { observed, .. }): (&Layers, &Observation)| {
             let [r, g, b] = observed.differences(radiance(shaded)).abs().to_array();
             f64::from(r + g + b)
         };
         let shaded = lit.shade(self.known.form, &self.known.specular);
         let sum: f64 = shaded.iter().zip(self.observations).map(of).sum();
-        Ok((sum / (3 * n.max(1)) as f64) as f32)
+        Ok((sum / (3 * self.observations.len().max(1)) as f64) as f32)
     }
 }
 
@@ -339,8 +344,10 @@ impl Lit<'_> {
     }
 }
 
-/// Points that a thread processes at a time; the chunk size of the fixed-order sums.
-const CHUNK: usize = 256;
+/// Texels whose pixels a thread processes at a time; the chunk of the fixed-order sums.
+const CHUNK: usize = 16;
+/// Weight of the prior of a texel's albedo in a solve for albedo, in pixels of mean irradiance.
+const PRIOR_IN_ALBEDO: f64 = 1.0;
 /// Lobes whose products are summed at once, in registers.
 const TILE: usize = 16;
 /// Responses below this count as none, because products of two such are subnormal numbers, with
@@ -362,29 +369,46 @@ struct Rows {
     targets: [Vec<f32>; 3],
 }
 
-/// Non-negative amplitudes of the lobes (whose own are ignored) that fit the radiance `targets` at
-/// `points` best in the least-squares sense, given the albedo in `points`, the specular material
-/// and the visibility.
+impl Rows {
+    fn new(count: usize, lobes: usize) -> Self {
+        let responses = std::array::from_fn(|_| vec![[0.0; TILE]; lobes.div_ceil(TILE) * count]);
+        Self { responses, targets: std::array::from_fn(|_| vec![0.0; count]) }
+    }
+}
+
+/// The ranges of pixels of one texel.
+fn runs_of_texels(pixels: &[Observation]) -> Vec<Range<usize>> {
+    let runs = pixels.chunk_by(|a, b| main_texel(a) == main_texel(b));
+    let next = |end: &mut usize, run: &[Observation]| {
+        *end += run.len();
+        Some(*end - run.len()..*end)
+    };
+    runs.scan(0, next).collect()
+}
+
+/// Non-negative amplitudes of the lobes (whose own are ignored) that fit the radiance of the pixels
+/// best in the least-squares sense, given the specular material, the visibility and the albedo at
+/// the points. Where there is `diffuse` radiance, the albedo [follows](crate::fit::elimination).
+/// Pixels are in order of their texels.
 fn solve_amplitudes(
     form: ClosedForm,
+    observations: &[Observation],
     points: &[ShadePoint],
     targets: &[Vec3],
+    diffuse: Option<&[Vec3]>,
     specular: &SpecularValue,
     Lighting { lobes, visibility }: Lighting<'_>,
 ) -> Vec<Vec3> {
     let of_unit = |i: usize| Lobe { amplitude: [1.0; 3], ..lobes.get(i) };
     let lobes = LobeColumns::from_lobes((0..lobes.len()).map(of_unit));
     let stride = lobes.stride();
-    let chunk = |number: usize| {
-        let run = number * CHUNK..points.len().min((number + 1) * CHUNK);
+    let chunk = |runs: &[Range<usize>]| {
+        let run = runs[0].start..runs[runs.len() - 1].end;
         let count = run.len();
         let mut values = vec![0.0; count * RESPONSE_ROWS * stride];
         form.respond(&points[run.clone()], specular, &lobes, &mut values);
-        let mut rows = Rows {
-            responses: std::array::from_fn(|_| vec![[0.0; TILE]; lobes.len().div_ceil(TILE) * count]),
-            targets: std::array::from_fn(|_| Vec::with_capacity(count)),
-        };
-        for (k, (n, value)) in run.zip(values.chunks_exact(RESPONSE_ROWS * stride)).enumerate() {
+        let mut rows = Rows::new(count, lobes.len());
+        for (k, (n, value)) in run.clone().zip(values.chunks_exact(RESPONSE_ROWS * stride)).enumerate() {
             let (parts, around) = LobeVisibility::point(visibility, n, stride);
             let (irradiance, glossy) = value.split_at(stride);
             for (c, glossy) in glossy.chunks_exact(stride).enumerate() {
@@ -397,15 +421,54 @@ fn solve_amplitudes(
                     rows.responses[c][i / TILE * count + k][i % TILE] =
                         if response < TINY { 0.0 } else { response };
                 }
-                rows.targets[c].push((targets[n][c] - diffuse * around.indirect[c]).max(0.0));
+                rows.targets[c][k] = (targets[n][c] - diffuse * around.indirect[c]).max(0.0);
             }
         }
         rows
     };
-    let rows: Vec<Rows> = parallel::map(points.len().div_ceil(CHUNK), 1, chunk);
-    let channels = [0, 1, 2].map(|channel| normal_equations(&rows, channel, lobes.len()));
+    let runs = runs_of_texels(observations);
+    let rows: Vec<Rows> = parallel::map_items(runs.chunks(CHUNK), chunk);
+    let mut channels = [0, 1, 2].map(|channel| normal_equations(&rows, channel, lobes.len()));
+    if let Some(diffuse) = diffuse {
+        let places: Vec<Vec3> = runs.iter().map(|run| observations[run.start].point.position).collect();
+        let albedo: Vec<Vec3> = runs.iter().map(|run| points[run.start].albedo.into()).collect();
+        let squares: f32 = diffuse.iter().map(|diffuse| diffuse.length_squared()).sum();
+        let paints = Paints::new(&places, &albedo, squares / (3 * diffuse.len().max(1)) as f32);
+        for (c, system) in channels.iter_mut().enumerate() {
+            paints.eliminate(c, &sums_of_texels(&rows, &runs, diffuse, c, lobes.len()), system);
+        }
+    }
     let solved: Vec<Vec<f64>> = parallel::map_items(channels, |(matrix, right)| solve(matrix, &right, RIDGE));
     (0..lobes.len()).map(|i| Vec3::from_array(std::array::from_fn(|c| solved[c][i] as f32))).collect()
+}
+
+/// Sums over the pixels of texels, in a channel: each adds its `diffuse` radiance times its equation.
+fn sums_of_texels(
+    rows: &[Rows],
+    runs: &[Range<usize>],
+    diffuse: &[Vec3],
+    c: usize,
+    lobes: usize,
+) -> TexelSums {
+    let mut sums = TexelSums { responses: vec![0.0; runs.len() * lobes], ..TexelSums::default() };
+    let mut lines = sums.responses.chunks_exact_mut(lobes);
+    for (rows, runs) in rows.iter().zip(runs.chunks(CHUNK)) {
+        let count = rows.targets[c].len();
+        for (run, line) in runs.iter().zip(&mut lines) {
+            let (mut squares, mut targets) = (0.0, 0.0);
+            for n in run.clone() {
+                let (k, weight) = (n - runs[0].start, diffuse[n][c]);
+                squares += weight * weight;
+                targets += weight * rows.targets[c][k];
+                for (line, tile) in line.chunks_mut(TILE).zip(rows.responses[c][k..].iter().step_by(count)) {
+                    line.iter_mut().zip(tile).for_each(|(sum, response)| *sum += weight * response);
+                }
+            }
+            sums.squares.push(squares);
+            sums.targets.push(targets);
+        }
+    }
+    sums
 }
 
 /// The normal equations of one channel: the symmetric matrix row by row, and the right side.
@@ -474,7 +537,8 @@ fn solve(mut matrix: Vec<f64>, right: &[f64], ridge: f64) -> Vec<f64> {
 
 /// Each texel's least-squares albedo given the light: `pixels` are samples with their radiance if
 /// the albedo were 1, `before` the albedo until now, with which clipped samples are brighter than
-/// they are seen or not. Texels with few samples are drawn to `prior`. Results are in
+/// they are seen or not. Each is drawn to `prior` as
+/// by [`PRIOR_IN_ALBEDO`]. Results are in
 /// `[0.02, 0.98]`.
 fn solve_albedo<'a>(
     pixels: impl Iterator<Item = (&'a Observation, &'a Layers)>,
@@ -496,8 +560,7 @@ fn solve_albedo<'a>(
             below[texel] += diffuse * diffuse * weight;
         }
     }
-    // One twentieth of the weight of an average sample.
-    let lean = power * (0.05 / f64::from(count.max(1))) + DVec3::splat(1e-12);
+    let lean = power * (PRIOR_IN_ALBEDO / f64::from(count.max(1))) + DVec3::splat(1e-12);
     let prior = prior.as_dvec3();
     let albedo = |(a, b): (&DVec3, &DVec3)| (*a + lean * prior) / (*b + lean);
     let in_range = |albedo: DVec3| albedo.clamp(DVec3::splat(0.02), DVec3::splat(0.98)).as_vec3();
@@ -557,40 +620,45 @@ mod tests {
     use lobelia_sg::ray::TexelAddress;
     use lobelia_world::sample::pixel::{Observed, PixelOf};
 
+    fn pixel(number: u32, texel: u32) -> Observation {
+        let texels = TexelAddress { indices: [7, texel, 7, 7], weights: [0.1, 0.7, 0.1, 0.1] };
+        let pixel = PixelOf { pixel: number, ..PixelOf::default() };
+        Observation {
+            pixel,
+            point: SurfacePoint { texels, ..SurfacePoint::default() },
+            ..Observation::default()
+        }
+    }
+
     #[test]
-    fn a_part_of_the_surface_has_all_pixels_of_its_places() {
-        let seen = |place: usize| {
-            let [x, y] = [place % 600, place / 600 % 600].map(|at| at as f32 / 300.0 - 1.0);
-            let point = SurfacePoint { position: Vec3::new(x, y, x * y), ..SurfacePoint::default() };
-            let pixel = PixelOf { pixel: place as u32, ..PixelOf::default() };
-            Observation { pixel, point, ..Observation::default() }
-        };
-        // Each of 360 000 places is seen three times.
-        let all: Vec<Observation> = (0..3 * 360_000).map(seen).collect();
-        assert!(part_of_surface(&all[..2 * PART_PIXELS - 1]).is_none());
-        let part = part_of_surface(&all).unwrap();
-        assert!((PART_PIXELS / 2..PART_PIXELS * 2).contains(&part.len()), "{}", part.len());
-        let mut times = vec![0; 360_000];
-        part.iter().for_each(|seen| times[seen.pixel.pixel as usize % 360_000] += 1);
-        assert!(times.iter().all(|times| [0, 3].contains(times)));
+    fn a_part_of_the_surface_has_all_pixels_of_its_texels() {
+        // Each of 360 000 texels is seen three times.
+        let all: Vec<Observation> = (0..3 * 360_000).map(|i| pixel(i, i % 360_000)).collect();
+        assert_eq!(of_some_texels(&all[..PART_PIXELS], PART_PIXELS).len(), PART_PIXELS);
+        let part = of_some_texels(&all, PART_PIXELS);
+        let few = of_some_texels(&part, PART_PIXELS / 8);
+        for (part, most) in [(&part, PART_PIXELS), (&few, PART_PIXELS / 8)] {
+            assert!((most / 2..most * 2).contains(&part.len()), "{}", part.len());
+            assert!(part.chunk_by(|a, b| main_texel(a) == main_texel(b)).all(|texel| texel.len() == 3));
+            assert_eq!(runs_of_texels(part)[1], 3..6);
+        }
+        // Of one texel they are as many.
+        let all: Vec<Observation> = (0..9000).map(|i| pixel(i, 5)).collect();
+        assert_eq!(of_some_texels(&all, 1000).len(), 2000);
     }
 
     /// Chunks of 200 points in all, of which each sees `response(point, lobe)` of a lobe in every
     /// channel, and shows what the amplitudes `truth` make of it.
     fn rows(truth: &[f32], response: impl Fn(usize, usize) -> f32) -> Vec<Rows> {
         let chunk = |points: Range<usize>| {
-            let mut responses = vec![[0.0; TILE]; truth.len().div_ceil(TILE) * points.len()];
-            for (k, point) in points.clone().enumerate() {
+            let mut rows = Rows::new(points.len(), truth.len());
+            for (c, (k, point)) in (0..3).flat_map(|c| points.clone().enumerate().map(move |of| (c, of))) {
                 for lobe in 0..truth.len() {
-                    responses[lobe / TILE * points.len() + k][lobe % TILE] = response(point, lobe);
+                    rows.responses[c][lobe / TILE * points.len() + k][lobe % TILE] = response(point, lobe);
                 }
+                rows.targets[c][k] = truth.iter().enumerate().map(|(i, x)| response(point, i) * x).sum();
             }
-            let shown = |point: usize| truth.iter().enumerate().map(|(i, x)| response(point, i) * x).sum();
-            let targets: Vec<f32> = points.map(shown).collect();
-            Rows {
-                responses: [(); 3].map(|()| responses.clone()),
-                targets: [(); 3].map(|()| targets.clone()),
-            }
+            rows
         };
         vec![chunk(0..130), chunk(130..200)]
     }

@@ -22,6 +22,7 @@ pub mod cameras;
 pub mod components;
 pub mod detail;
 pub mod determined;
+mod elimination;
 pub mod exposure;
 pub mod groups;
 pub mod guard;

@@ -1,7 +1,6 @@
 //! How a fit starts where nothing is said, found from the photographs: the frame that the light
 //! stands still in, and albedo and roughness of the specular lobe. The initialization is tried with
-//! each, without shadows, on a part of a surface of many pixels. A frame that is far worse than
-//! another with a shining and with a matte lobe is tried with no other.
+//! each, without shadows, on a part of a surface of many pixels.
 //!
 //! Albedo takes up what of the shading does not depend on the view. In the wrong frame the light on
 //! a surface point should change from view to view, or should not, where the photographs show the
@@ -19,25 +18,22 @@ use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame, turning_axis}
 use lobelia_world::light::{LightLobe, lights::own_lobes, placement::Placements};
 use lobelia_world::material::{BaseMaterial, SpecularLobe, recovered_albedo, recovered_materials};
 use serde::{Deserialize, Serialize};
+use std::cmp::Ordering;
 use tracing::info_span;
 
 /// Fewest views that tell frames apart.
 const LEAST_VIEWS: usize = 6;
 /// Largest error relative to that of the usual frame for another to be chosen.
 const BETTER: f32 = 0.9;
-/// Lobes that each frame is tried with: the scene's own and the first other. By default one shines
-/// and one is matte; each alone may hide the right frame.
-const FIRST: usize = 2;
-/// Error with these, relative to the least of all frames, above which a frame is tried with no
-/// other. The others lower the error of a frame by 6 % at most (`spot`, `sphere`, `cheburashka`,
-/// `skull`, `head`).
-const FAR: f32 = 1.4;
+/// Error relative to the least up to which a glossier lobe is taken: a fit that starts with a matte
+/// one finds no highlights, because its light has none to show.
+const ALIKE: f32 = 1.02;
 /// Standard deviation of the sine of the cameras' tilt from which a turntable differs from a
 /// camera's frame.
 const TILTED: f32 = 0.03;
 
 /// Albedo and roughness of the specular lobes that are tried: bright or a plain dielectric, glossy
-/// or matte. The first two differ most.
+/// or matte.
 const LOBES: [(f32, f32); 4] = [(0.3, 0.4), (0.04, 0.8), (0.3, 0.2), (0.04, 0.4)];
 
 /// Most lobes of an unknown light with which frames and specular lobes are tried: frames differ by
@@ -90,8 +86,7 @@ pub(crate) fn find_start(
     }
     let _finding = info_span!("start").entered();
     let errors = errors(world, &frames, &lobes, unknowns, form)?;
-    let least = |errors: &Vec<f32>| (0..errors.len()).min_by(|a, b| errors[*a].total_cmp(&errors[*b]));
-    let suits: Vec<usize> = errors.iter().map(|errors| least(errors).unwrap_or(0)).collect();
+    let suits: Vec<usize> = errors.iter().map(|errors| glossiest(&lobes, errors)).collect();
     let tried: Vec<_> = (0..frames.len()).map(|at| (frames[at], errors[at][suits[at]])).collect();
     let frame = best(&tried, world.contains_resource::<ObjectTurned>());
     world.insert_resource(OwnLightFrame(frame));
@@ -106,8 +101,7 @@ pub(crate) fn find_start(
     Ok(())
 }
 
-/// Mean absolute errors of radiance of the initialization in each frame: with the first lobes, and
-/// with the others where the frame is not far worse than another.
+/// Mean absolute errors of radiance of the initialization in each frame, with each lobe.
 fn errors(
     world: &mut World,
     frames: &[LightFrame],
@@ -120,35 +114,31 @@ fn errors(
     let lobes = if spread { LightLobe::even(MOST_TRIED) } else { own };
     // How the object lies in others is found by the frame and the light of the first.
     let placement = placements_are_open(world).then_some(Placement(0));
-    let first = if frames.len() > 1 { specular.len().min(FIRST) } else { specular.len() };
     let mut errors = vec![Vec::new(); frames.len()];
-    for tried in [&specular[..first], &specular[first..]].into_iter().filter(|tried| !tried.is_empty()) {
-        for at in near(&errors) {
-            world.insert_resource(OwnLightFrame(frames[at]));
-            let known = Known { form, specular: tried[0], unknowns, object: None, in_part: true, placement };
-            with_initialization(world, known, |problems| {
-                let problem = &mut problems[0];
-                for lobe in tried {
-                    let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
-                    problem.known.specular = *lobe;
-                    problem.alternate(&mut lobes, &mut texels)?;
-                    errors[at].push(problem.error(&lobes, &texels)?);
-                }
-                Ok(())
-            })?;
-        }
+    for (frame, errors) in frames.iter().zip(&mut errors) {
+        world.insert_resource(OwnLightFrame(*frame));
+        let known = Known { form, specular: specular[0], unknowns, object: None, in_part: true, placement };
+        with_initialization(world, known, |problems| {
+            let problem = &mut problems[0];
+            for lobe in specular {
+                let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
+                problem.known.specular = *lobe;
+                problem.alternate(&mut lobes, &mut texels)?;
+                errors.push(problem.error(&lobes, &texels)?);
+            }
+            Ok(())
+        })?;
     }
     check_interrupted()?;
     Ok(errors)
 }
 
-/// The frames with these errors that are not far worse than another.
-fn near(errors: &[Vec<f32>]) -> Vec<usize> {
-    let least = |errors: &[f32]| errors.iter().copied().fold(f32::INFINITY, f32::min);
-    let all = least(&errors.concat());
-    // Without errors, or where all are NaN, none is far.
-    let is_far = |at: &usize| least(&errors[*at]) > FAR * all;
-    (0..errors.len()).filter(|at| !is_far(at)).collect()
+/// The glossiest lobe of those whose errors are about the least.
+fn glossiest(lobes: &[SpecularLobe], errors: &[f32]) -> usize {
+    let least = errors.iter().copied().fold(f32::INFINITY, f32::min);
+    let order = |i: &usize| (lobes[*i].roughness, errors[*i]);
+    let alike = (0..errors.len()).filter(|i| errors[*i] <= ALIKE * least);
+    alike.min_by(|a, b| order(a).partial_cmp(&order(b)).unwrap_or(Ordering::Equal)).unwrap_or(0)
 }
 
 /// The frame of least error; the usual one, unless another is clearly better.
@@ -190,13 +180,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_frame_is_far_only_if_no_lobe_makes_it_near() {
-        let of = |[a, b, c, d]: [f32; 4]| near(&[vec![a, b], vec![c, d]]);
-        assert_eq!(of([0.3, 0.1, 0.13, 0.5]), [0, 1]);
-        assert_eq!(of([0.3, 0.1, 0.15, 0.5]), [0]);
-        assert_eq!(of([0.3, f32::NAN, 0.15, 0.1]), [1]);
-        assert_eq!(near(&[vec![], vec![]]), [0, 1]);
-        assert_eq!(of([f32::NAN; 4]), [0, 1]);
+    fn of_lobes_that_fit_alike_the_glossiest_is_taken() {
+        let lobes = [0.4, 0.8, 0.2, 0.4].map(|roughness| SpecularLobe::new(Vec3::splat(0.04), roughness));
+        assert_eq!(glossiest(&lobes, &[0.3, 0.1, 0.2, 0.101]), 3);
+        assert_eq!(glossiest(&lobes, &[0.3, 0.1, f32::NAN, 0.11]), 1);
+        assert_eq!(glossiest(&lobes, &[f32::NAN; 4]), 0);
     }
 
     #[test]
