@@ -26,6 +26,12 @@ impl TexelAddress {
     pub fn blend(&self, texels: &[Vec3]) -> Vec3 {
         (0..4).map(|i| texels[self.indices[i] as usize] * self.weights[i]).sum()
     }
+
+    /// The texel that counts most.
+    pub fn main(&self) -> u32 {
+        let most = (0..4).max_by(|a, b| self.weights[*a].total_cmp(&self.weights[*b]));
+        self.indices[most.unwrap_or(0)]
+    }
 }
 
 /// The intersection of a ray with the surface.

@@ -21,8 +21,8 @@ use lobelia_world::material::USUAL_ALBEDO;
 
 /// Near texels that each is held to.
 const NEAR: usize = 6;
-/// Weight of the variation of l, in pixels of mean w², for all pairs of a texel. (A twentieth of it
-/// changes little.)
+/// Weight of the variation of l, in pixels of mean w², for the near texels that a texel chooses; a
+/// pair of which both choose each other counts twice.
 const VARIATION: f32 = 2.0;
 /// Differences well below this are held by a square.
 const KINK: f32 = 0.03;
@@ -97,13 +97,16 @@ impl Paints {
         };
         let solved =
             parallel::map(lobes + 1, 1, |k| conjugate_gradients(apply, column(k), &scale, 1e-10, 200));
-        for k in 0..lobes {
+        // Up to the diagonal, and last of the right side.
+        let explained = parallel::map(lobes, 1, |k| {
             let column = column(k);
             let with = |x: &[f32]| column.iter().zip(x).map(|(a, b)| f64::from(a * b)).sum::<f64>();
-            right[k] -= with(&solved[lobes]);
+            solved[..=k].iter().chain(&solved[lobes..]).map(|x| with(x)).collect::<Vec<f64>>()
+        });
+        for (k, line) in explained.iter().enumerate() {
+            right[k] -= line[k + 1];
             for j in 0..=k {
-                let explained = with(&solved[j]);
-                matrix[k * lobes + j] -= explained;
+                matrix[k * lobes + j] -= line[j];
                 matrix[j * lobes + k] = matrix[k * lobes + j];
             }
         }

@@ -10,7 +10,7 @@
 
 use crate::fit::components::{AlbedoGradient, LossState, StepGradient};
 use crate::fit::exposure::Exposures;
-use crate::fit::{loss::LossSums, observe::main_texel, roughness::BlendGradient, sheen::SheenGradient};
+use crate::fit::{loss::LossSums, roughness::BlendGradient, sheen::SheenGradient};
 use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
 use lobelia_geometry::view::{Camera, ViewIndex, ViewName};
@@ -120,7 +120,7 @@ fn cause(lobes: &LobeColumns, gathered: &ShadePoint, point: &SurfacePoint) -> St
 
 /// The albedo of the texel that counts most at a point.
 fn of_texel(point: &SurfacePoint) -> String {
-    format!("the albedo of texel {}", main_texel(&point.texels))
+    format!("the albedo of texel {}", point.texels.main())
 }
 
 /// Loss: looks for a loss, or an adjoint of it, that is not finite.

@@ -4,9 +4,9 @@
 //! For fixed axes and sharpness, radiance is linear in the amplitudes of the lobes, and for fixed
 //! light it is linear in the albedo. A light that were solved for as if the albedo were known would
 //! hardly leave the one that goes with it, so from the second round on a solve for light lets the
-//! albedo [follow](crate::fit::elimination). Once the amplitudes of uniformly distributed lobes are known,
-//! lobes with very little power are moved to resolve the bright parts: like split and merge in
-//! [`fit_map`](lobelia_world::light::map_fit), with photographs in place of the map.
+//! albedo [follow](crate::fit::elimination). Once the amplitudes of uniformly distributed lobes are
+//! known, lobes with very little power are moved to resolve the bright parts: like split and merge
+//! in [`fit_map`](lobelia_world::light::map_fit), with photographs in place of the map.
 
 use crate::fit::elimination::{Paints, TexelSums};
 use crate::fit::{components::Unknowns, loss::radiance};
@@ -161,10 +161,8 @@ fn alternate(
 }
 
 /// The texel that a pixel shows most of.
-fn main_texel(pixel: &Observation) -> u32 {
-    let texels = &pixel.point.texels;
-    let most = (0..4).max_by(|a, b| texels.weights[*a].total_cmp(&texels.weights[*b]));
-    texels.indices[most.unwrap_or(0)]
+fn texel_of(pixel: &Observation) -> u32 {
+    pixel.point.texels.main()
 }
 
 /// About `most` pixels, in order of the texel that they show: all that see some texels, so that these
@@ -174,7 +172,7 @@ fn of_some_texels(all: &[Observation], most: usize) -> Vec<Observation> {
     let every = (all.len() / most) as u32;
     let is_in = |pixel: &Observation| {
         // Parts of a part are independent of it.
-        let mixed = (main_texel(pixel) ^ (most as u32) << 8).wrapping_mul(0x9e37_79b1);
+        let mixed = (texel_of(pixel) ^ (most as u32) << 8).wrapping_mul(0x9e37_79b1);
         every < 2 || ((mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d) >> 12).is_multiple_of(every)
     };
     let mut some: Vec<Observation> =
@@ -184,7 +182,7 @@ fn of_some_texels(all: &[Observation], most: usize) -> Vec<Observation> {
         some = all.to_vec();
     }
     some.truncate(2 * most);
-    some.sort_by_key(main_texel);
+    some.sort_by_key(texel_of);
     some
 }
 
@@ -237,17 +235,17 @@ impl Initialization<'_> {
         let columns = LobeColumns::from_lobes(lobes.iter().map(Into::into));
         self.refresh(&columns, texels);
         let lit = self.lit(&observations, &columns, |point| point.texels.blend(texels))?;
-        let shaded = lit.shade(self.known.form, &self.known.specular);
+        let (form, own) = (self.known.form, &self.known.specular);
+        let shaded = if is_lit { lit.shade(form, own) } else { Vec::new() };
         // In clipped channels it should be more than that of the photographs, if the light until
         // now says so.
-        let target = |(of, shaded): (&Observation, &Layers)| {
-            if is_lit { of.observed.target(radiance(shaded)) } else { of.observed.radiance }
+        let target = |(i, Observation { observed, .. }): (usize, &Observation)| {
+            shaded.get(i).map_or(observed.radiance, |shaded| observed.target(radiance(shaded)))
         };
-        let targets: Vec<Vec3> = observations.iter().zip(&shaded).map(target).collect();
+        let targets: Vec<Vec3> = observations.iter().enumerate().map(target).collect();
         let diffuse: Vec<Vec3> = shaded.iter().map(|shaded| shaded.diffuse.into()).collect();
         let diffuse = Some(diffuse.as_slice()).filter(|_| self.known.unknowns.albedo && is_lit);
-        let specular = kernel_specular(&self.known.specular);
-        let form = self.known.form;
+        let specular = kernel_specular(own);
         let amplitudes =
             solve_amplitudes(form, &observations, &lit.points, &targets, diffuse, &specular, lit.lighting());
         for (lobe, amplitude) in lobes.iter_mut().zip(amplitudes) {
@@ -378,7 +376,7 @@ impl Rows {
 
 /// The ranges of pixels of one texel.
 fn runs_of_texels(pixels: &[Observation]) -> Vec<Range<usize>> {
-    let runs = pixels.chunk_by(|a, b| main_texel(a) == main_texel(b));
+    let runs = pixels.chunk_by(|a, b| texel_of(a) == texel_of(b));
     let next = |end: &mut usize, run: &[Observation]| {
         *end += run.len();
         Some(*end - run.len()..*end)
@@ -472,7 +470,7 @@ fn sums_of_texels(
 }
 
 /// The normal equations of one channel: the symmetric matrix row by row, and the right side.
-/// Products of lobes are summed in f32 over a chunk, all else in f64.
+/// Products of lobes are summed in f32 over a chunk, and chunks in f64.
 fn normal_equations(rows: &[Rows], channel: usize, n: usize) -> (Vec<f64>, Vec<f64>) {
     let mut matrix = vec![0.0; n * n];
     let mut right = vec![0.0; n];
@@ -537,8 +535,7 @@ fn solve(mut matrix: Vec<f64>, right: &[f64], ridge: f64) -> Vec<f64> {
 
 /// Each texel's least-squares albedo given the light: `pixels` are samples with their radiance if
 /// the albedo were 1, `before` the albedo until now, with which clipped samples are brighter than
-/// they are seen or not. Each is drawn to `prior` as
-/// by [`PRIOR_IN_ALBEDO`]. Results are in
+/// they are seen or not. Each is drawn to `prior` as by [`PRIOR_IN_ALBEDO`]. Results are in
 /// `[0.02, 0.98]`.
 fn solve_albedo<'a>(
     pixels: impl Iterator<Item = (&'a Observation, &'a Layers)>,
@@ -639,7 +636,7 @@ mod tests {
         let few = of_some_texels(&part, PART_PIXELS / 8);
         for (part, most) in [(&part, PART_PIXELS), (&few, PART_PIXELS / 8)] {
             assert!((most / 2..most * 2).contains(&part.len()), "{}", part.len());
-            assert!(part.chunk_by(|a, b| main_texel(a) == main_texel(b)).all(|texel| texel.len() == 3));
+            assert!(part.chunk_by(|a, b| texel_of(a) == texel_of(b)).all(|texel| texel.len() == 3));
             assert_eq!(runs_of_texels(part)[1], 3..6);
         }
         // Of one texel they are as many.

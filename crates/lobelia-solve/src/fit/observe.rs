@@ -8,7 +8,7 @@ use glam::Vec2;
 use lobelia_geometry::view::{ByView, Camera, Photograph, StoredMask, ViewIndex};
 use lobelia_geometry::view::{PixelWindow, Split, ViewMask, glare_limit, raster::FULL_COVERAGE};
 use lobelia_geometry::{Error, Result, error::stop::check_interrupted, parallel};
-use lobelia_sg::ray::{Intersect, TexelAddress};
+use lobelia_sg::ray::Intersect;
 use lobelia_world::light::placement::Placements;
 use lobelia_world::material::{TexelIndex, Texels};
 use lobelia_world::pipeline::{Phase, Pipeline, SystemResult, pool::Pool};
@@ -162,18 +162,12 @@ fn with_even_shares(
     let mut texels = Vec::with_capacity(chosen.len());
     for part in chosen.chunks(TRACED_AT_ONCE) {
         check_interrupted()?;
-        let texel = |pixel: &PixelOf| Ok(trace(pixel)?.map_or(NO_TEXEL, |point| main_texel(&point.texels)));
+        let texel = |pixel: &PixelOf| Ok(trace(pixel)?.map_or(NO_TEXEL, |point| point.texels.main()));
         let of_part = parallel::map_slice(part, 64, texel).into_iter();
         texels.append(&mut of_part.collect::<Result<Vec<u32>>>()?);
     }
     let kept = kept_evenly(&texels, most);
     Ok(chosen.into_iter().zip(kept).filter_map(|(pixel, kept)| kept.then_some(pixel)).collect())
-}
-
-/// The texel that counts most at a point.
-pub(super) fn main_texel(texels: &TexelAddress) -> u32 {
-    let most = (0..4).max_by(|a, b| texels.weights[*a].total_cmp(&texels.weights[*b]));
-    texels.indices[most.unwrap_or(0)]
 }
 
 /// Spawns the samples of a step of `batch` pixels.

@@ -18,7 +18,6 @@ use lobelia_world::light::light_frame::{LightFrame, OwnLightFrame, turning_axis}
 use lobelia_world::light::{LightLobe, lights::own_lobes, placement::Placements};
 use lobelia_world::material::{BaseMaterial, SpecularLobe, recovered_albedo, recovered_materials};
 use serde::{Deserialize, Serialize};
-use std::cmp::Ordering;
 use tracing::info_span;
 
 /// Fewest views that tell frames apart.
@@ -40,8 +39,8 @@ const LOBES: [(f32, f32); 4] = [(0.3, 0.4), (0.04, 0.8), (0.3, 0.2), (0.04, 0.4)
 /// what no light explains, and a solve for many lobes costs the square of their number.
 const MOST_TRIED: usize = 128;
 
-/// The frames that were tried, and the mean absolute error of radiance in each, with the lobe that
-/// suits it best of those tried in it.
+/// The frames that were tried, and the mean absolute error of radiance in each, with the lobe of
+/// those tried that suits it.
 #[derive(Resource, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FramesTried(pub Vec<(LightFrame, f32)>);
 
@@ -61,7 +60,7 @@ pub(crate) fn light_turns(world: &World) -> bool {
 
 /// Sets the resource [`OwnLightFrame`] to the frame in which an initialization explains the
 /// photographs best, if `frame` is to be found, and the only base material to the `specular` lobe
-/// that suits it best, if that is, and unknown. The usual frame is kept unless another is clearly
+/// that suits it, the glossiest of those that are about as good, if that is, and unknown. The usual frame is kept unless another is clearly
 /// better: the world's, or one that turns if the [`ObjectTurned`].
 pub(crate) fn find_start(
     world: &mut World,
@@ -136,9 +135,12 @@ fn errors(
 /// The glossiest lobe of those whose errors are about the least.
 fn glossiest(lobes: &[SpecularLobe], errors: &[f32]) -> usize {
     let least = errors.iter().copied().fold(f32::INFINITY, f32::min);
-    let order = |i: &usize| (lobes[*i].roughness, errors[*i]);
     let alike = (0..errors.len()).filter(|i| errors[*i] <= ALIKE * least);
-    alike.min_by(|a, b| order(a).partial_cmp(&order(b)).unwrap_or(Ordering::Equal)).unwrap_or(0)
+    let glossier = |a: &usize, b: &usize| {
+        let by_error = errors[*a].total_cmp(&errors[*b]);
+        lobes[*a].roughness.total_cmp(&lobes[*b].roughness).then(by_error)
+    };
+    alike.min_by(glossier).unwrap_or(0)
 }
 
 /// The frame of least error; the usual one, unless another is clearly better.
